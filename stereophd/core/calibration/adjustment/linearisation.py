@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -24,7 +25,7 @@ from stereophd.core.calibration.adjustment.trajectories import (
     slopes,
 )
 from stereophd.core.calibration.unknowns.parameters import taken
-from stereophd.core.calibration.unknowns.quantities.base import TIMES
+from stereophd.core.calibration.unknowns.quantities.base import TIMES, CameraView, Projection, Quantity
 from stereophd.core.calibration.unknowns.quantities.pixel_derivatives import Sights
 from stereophd.core.calibration.unknowns.scale import log_scale, predicted
 
@@ -78,18 +79,25 @@ class Seen:
     """What cameras see of the points of detections."""
 
     placement: Placement
-    world: Array  # (n, 3): The points
-    points: Array  # (n, 3): In the axes of the cameras
-    velocities: Array  # (n, 3): Theirs; zeros where derivatives by values are not asked for
+    projection: Projection
+    velocities: Array  # (n, 3): Those of the points; zeros where derivatives by values are not asked for
     errors: Array  # (n, 2): Residuals
-    visible: Booleans  # (n,)
-    by_point: Array  # (n, 2, 3): Derivatives of the pixels by the points
     by_value: Array  # (n, 2, q): By the unknown values of the camera; q = 0 where they are not asked for
+
+    @property
+    def visible(self) -> Booleans:
+        """Which points (n,) lie before their cameras."""
+        return self.projection.ahead
+
+    @property
+    def by_point(self) -> Array:
+        """Derivatives (n, 2, 3) of the pixels by the points."""
+        return self.projection.by_world
 
     @cached_property
     def bends(self) -> Array:
         """Second derivatives (n, 2, 3, 3) of the pixels by the points."""
-        return self.placement.sights.bends(self.points, self.visible)
+        return self.placement.sights.bends(self.projection.points, self.visible)
 
 
 @dataclass(frozen=True)
@@ -181,7 +189,7 @@ class Linearisation:
     def _add_motion(self, sums: NormalEquations, states: Array, noise: MotionNoise) -> tuple[float, Array, Array]:
         """Add the motion model to the sums of the knots; return its part of the cost, and `MotionPrior.pulls`."""
         precision, (pulls, products) = noise.precision, self.motion.pulls(states)
-        sums.bands[:] += self.motion.with_axes(precision)
+        self.motion.with_axes(precision, sums.bands)
         sums.state_vector[:] -= (pulls @ precision).ravel()
         return float((precision * products).sum()), pulls, products
 
@@ -192,15 +200,17 @@ class Linearisation:
 
     def of_knots(
         self, values: Array, states: Array, noise: Array = STATED, placement: Placement | None = None
-    ) -> tuple[float, Array, Array]:
+    ) -> tuple[float, Array, Array, Seen]:
         """Cost of detections and motion, matrix (12, size) and vector (size,) of the knots, as `at` has them, sooner.
 
-        A placement of the values without velocities (`placed`) saves what several knots at the same values share.
+        What is seen, without derivatives by values, is returned as well. A placement of the values without velocities
+        (`placed`) saves what several knots at the same values share.
         """
         placement = placement or self.placed(values, by_values=False)
-        sums = self.summed(self.residuals(values, states, placement, by_values=False))
+        seen = self.residuals(values, states, placement, by_values=False)
+        sums = self.summed(seen)
         energy, _, _ = self._add_motion(sums, states, self.noise_at(values, noise))
-        return sums.cost + energy, sums.bands, sums.state_vector
+        return sums.cost + energy, sums.bands, sums.state_vector, seen
 
     def placed(self, values: Array, by_values: bool = True) -> Placement:
         """Return what the values determine; without `by_values` the velocities are those of the prior mean.
@@ -224,31 +234,48 @@ class Linearisation:
         self, values: Array, states: Array, placement: Placement | None = None, by_values: bool = True
     ) -> Seen:
         """What is seen of the points at the times of the values."""
-        placement, held = placement or self.placed(values), self.problem.held
-        by_values = by_values and (held is None or not held.all())
+        placement = placement or self.placed(values)
         world = positions(states, *placement.path)
-        velocities = positions(states, *placement.rates) if by_values else np.zeros_like(world)
-        return self.seen(placement, values, world, velocities, by_values)
+        projection = placement.sights.project(world)
+        errors, by_value = self.problem.observations.points - projection.pixels, np.zeros((len(world), 2, 0))
+        seen = Seen(placement, projection, np.zeros_like(world), errors, by_value)
+        return self.with_values(seen, values, states) if by_values else seen
 
-    def seen(
-        self, placement: Placement, values: Array, world: Array, velocities: Array, by_values: bool = True
-    ) -> Seen:
-        """What is seen of points and velocities (n, 3)."""
-        observations, parameters = self.problem.observations, self.problem.parameters
-        sights, count = placement.sights, len(observations)
-        found = sights.project(world)
-        by_value = np.zeros((count, 2, self.columns.shape[1] if by_values else 0))
-        at = placement.times, observations.log_times, observations.rows
-        for number, here in enumerate(self.members if by_values else ()):
-            if unknown := parameters.unknown(sights.cameras[number].name):
-                view = sights.view(number, here, found, velocities, *at)
-                parts = [
-                    quantity.derivative(view, taken(values, index))[:, :, index >= 0] for quantity, index in unknown
-                ]
-                by_camera = np.concatenate(parts, axis=2)
-                by_value[here, :, : by_camera.shape[2]] = by_camera
-        errors = observations.points - found.pixels
-        return Seen(placement, world, found.points, velocities, errors, found.ahead, found.by_world, by_value)
+    def with_values(self, seen: Seen, values: Array, states: Array) -> Seen:
+        """Return what is seen with its derivatives by the values, where some are not held."""
+        if self.problem.held is not None and self.problem.held.all():
+            return seen
+        seen = replace(seen, velocities=positions(states, *seen.placement.rates))
+        by_value = np.zeros((len(seen.errors), 2, self.columns.shape[1]))
+        for here, view, unknown in self._views(seen, values):
+            parts = [quantity.derivative(view, own)[:, :, used] for quantity, own, used in unknown]
+            by_value[here, :, : sum(part.shape[2] for part in parts)] = np.concatenate(parts, axis=2)
+        return replace(seen, by_value=by_value)
+
+    def pulled(self, seen: Seen, values: Array, pixels: Array, lines: Array, later: Array) -> Array:
+        """Derivatives (n, q), by the values of the camera of each detection, of what detections pull at.
+
+        They pull at their pixels with weights (n, 2), with weights (n, 2, 3) at the derivatives of these by the points,
+        and with weights (n,) at the times.
+        """
+        pull = seen.placement.sights.pull(seen.projection, pixels, lines, later, seen.bends)
+        out = np.zeros((len(pixels), self.columns.shape[1]))
+        for here, view, unknown in self._views(seen, values):
+            of_camera = pull.take(here)
+            parts = [quantity.pulled(view, of_camera, own)[:, used] for quantity, own, used in unknown]
+            out[here, : sum(part.shape[1] for part in parts)] = np.concatenate(parts, axis=1)
+        return out
+
+    def _views(
+        self, seen: Seen, values: Array
+    ) -> Iterator[tuple[Integers, CameraView, list[tuple[Quantity, Array, Booleans]]]]:
+        """Detections of each camera that has unknown quantities, its view, and these: their values, and which count."""
+        observations, sights = self.problem.observations, seen.placement.sights
+        at = seen.placement.times, observations.log_times, observations.rows
+        for number, here in enumerate(self.members):
+            if unknown := self.problem.parameters.unknown(sights.cameras[number].name):
+                view = sights.view(number, here, seen.projection, seen.velocities, *at)
+                yield here, view, [(quantity, taken(values, index), index >= 0) for quantity, index in unknown]
 
     def factor_of_knots(self, seen: Seen, bands: Array) -> Array:
         """Cholesky factor (12, size) of the second derivatives of the cost by the knots, where there is no loss.
@@ -262,7 +289,7 @@ class Linearisation:
             return factor_knots(curved)
         return factor_knots(bands)
 
-    @property
+    @cached_property
     def precisions(self) -> Array:
         """Precisions (n, 2, 2) of the detections, times what each counts."""
         precisions, weights = self.problem.observations.precisions, self.problem.observations.weights
@@ -271,7 +298,7 @@ class Linearisation:
     def pulls(self, seen: Seen, errors: Array | None = None) -> Array:
         """Return how errors (n, 2), those of detections by default, pull at pixels by the weights of the detections."""
         errors = seen.errors if errors is None else errors
-        return np.where(seen.visible[:, None], (self.precisions @ errors[:, :, None])[:, :, 0], 0.0)
+        return np.where(seen.visible[:, None], np.einsum("nij,nj->ni", self.precisions, errors), 0.0)
 
     def of_values(self, by_value: Array) -> Array:
         """Sums (m,) over detections of their contributions (n, q) to the values of their cameras; q may be 0."""
@@ -289,19 +316,3 @@ class Linearisation:
             for axis in range(3):
                 np.add.at(out, 6 * path.knot + 3 * b + axis, path.weights[:, b] * by_point[:, axis])
         return out[:size]
-
-    @cached_property
-    def time_slopes(self) -> Array:
-        """Derivatives (n, q) of the times of the detections by the values of their cameras: these are linear."""
-        parameters, observations = self.problem.parameters, self.problem.observations
-        out = np.zeros((len(observations), self.columns.shape[1]))
-        now = true_times(parameters.build(parameters.prior_mean), observations)
-        for columns, here in zip(self.columns, self.members, strict=True):
-            for column, place in enumerate(columns[columns >= 0]):
-                if parameters.parameters[place].quantity.affects != TIMES:
-                    continue
-                later = parameters.prior_mean.copy()
-                later[place] += parameters.prior_std[place]
-                moved = true_times(parameters.build(later), observations)[here] - now[here]
-                out[here, column] = moved / parameters.prior_std[place]
-        return out

@@ -270,8 +270,8 @@ class MarginalPosterior:
         """
         values, noise = self.parted(unknowns)
         placement = self.linearisation.placed(values)
-        states, _ = settled_knots(self.linearisation, values, states, noise, KNOT_STEPS, settled, placement)
-        seen = self.linearisation.residuals(values, states, placement)
+        states, _, seen = settled_knots(self.linearisation, values, states, noise, KNOT_STEPS, settled, placement)
+        seen = self.linearisation.with_values(seen, values, states)
         equations = self.equations(unknowns, states, seen)
         factor = factor_knots(equations.bands)
         volume = self._volume(unknowns, factor) + self._first_states(states)[0]
@@ -285,17 +285,16 @@ class MarginalPosterior:
         """Return the point after a small step (size,), its knots at their minimum to second order of the step.
 
         They take a step by their second derivatives at the other point, of the Cholesky factor `curved` (12, 6 k). It
-        is for `gradient` alone: it has no objective, and of its equations no matrices of the values.
+        is for `gradient` alone: it has no objective, and of its equations nothing that detections tell of the values.
         """
         unknowns, states = at.unknowns + step, at.states + at.eliminated.followed(step).reshape(at.states.shape)
         (values, noise), linearisation = self.parted(unknowns), self.linearisation
         placement = linearisation.placed(values)
-        _, _, vector = linearisation.of_knots(values, states, noise, placement)
+        _, _, vector, _ = linearisation.of_knots(values, states, noise, placement)
         states += cho_solve_banded((curved, True), vector, check_finite=False).reshape(states.shape)
-        seen = linearisation.residuals(values, states, placement)
-        found = self.equations(unknowns, states, replace(seen, by_value=seen.by_value[:, :, :0]))
-        by_value = np.einsum("nrq,nr->nq", seen.by_value, linearisation.pulls(seen))
-        found.value_vector[: len(values)] += linearisation.of_values(by_value)
+        seen = linearisation.residuals(values, states, placement, by_values=False)
+        seen = replace(seen, velocities=positions(states, *placement.rates))
+        found = self.equations(unknowns, states, seen)
         return Point(unknowns, states, found, factor_knots(found.bands), np.nan, seen)
 
     def with_shown_motion(self, values: Array, states: Array, noise: Array) -> Point:
@@ -319,12 +318,12 @@ class MarginalPosterior:
         curved = linearisation.factor_of_knots(at.seen, equations.bands)
         across = cho_solve_banded((curved, True), by_states, check_finite=False).reshape(at.states.shape)
         # knots that follow move points and velocities, and with them what the errors pull at the values with
-        moved, faster = (positions(across, i.knot, i.weights, np.zeros_like(at.seen.world)) for i in (path, rates))
+        moved, faster = (positions(across, i.knot, i.weights, np.zeros_like(at.seen.velocities)) for i in (path, rates))
         pulls = linearisation.pulls(at.seen)
-        following = linearisation.pulls(at.seen, (at.seen.by_point @ moved[:, :, None])[:, :, 0])
-        later = (pulls * (at.seen.by_point @ faster[:, :, None])[:, :, 0]).sum(axis=1)
-        by_value = slopes.by_value(linearisation, pulls[:, :, None] * moved[:, None, :], later)
-        by_value -= np.einsum("nrq,nr->nq", at.seen.by_value, following)
+        following = linearisation.pulls(at.seen, np.einsum("nra,na->nr", at.seen.by_point, moved))
+        later = np.einsum("nr,nra,na->n", pulls, at.seen.by_point, faster)
+        at_pixels = -following if at.seen.by_value.shape[2] else -following - pulls  # of points `beside` another
+        by_value = slopes.by_value(linearisation, at_pixels, pulls[:, :, None] * moved[:, None, :], later)
         products = linearisation.motion.pulls(at.states)[0].T @ across.reshape(-1, 3)
         by_products = linearisation.noise_at(values, noise).by_unknowns(products + products.T)
         of_noise = slopes.by_noise.sum(axis=0) - by_products + 6.0 * self.links * OF_ALL

@@ -151,7 +151,8 @@ def estimate_noise(
     residuals = linearisation.residuals(values, states).errors / sigma
     cells = cells_of(observations, radius)
     own = rng.standard_normal((DRAWS, len(cells), 2))
-    of_cells = rng.standard_normal((DRAWS, len(cells), 2))[:, cells]
+    # of cells of one detection no error is shared
+    of_cells = rng.standard_normal((DRAWS if radius > 0.0 else 0, len(cells), 2))[:, cells]
     counted = linearisation
     if shared.any():
         counted = Linearisation.of(problem.weighted(weights * weights_of(observations, shared, radius)))

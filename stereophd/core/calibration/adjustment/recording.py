@@ -140,16 +140,21 @@ class Recording:
 
 @dataclass(frozen=True)
 class Scans:
-    """The events of a recording for given cameras, and their detections in one array."""
+    """The frames of a recording as seen by given cameras, and their detections in one array."""
 
-    events: tuple[Event, ...]  # In order of true time, ties in the order of the cameras
-    # `times`, `cameras`: arrays (e,): True times, s, and indices of the cameras of the events.
+    # `times`, `cameras`: arrays (e,): True times, s, in their order, ties in the order of the cameras; and indices of
+    # the cameras.
     times: Array
     cameras: Integers
-    first: Integers  # Event i has the detections first[i] to first[i + 1] - 1
-    points: Array  # (n, 2): Undistorted pixels of all detections, as in the events
-    event_of: Integers  # (n,) of int: Event of each detection
-    detection_times: Array  # (n,): Time of each detection, s: of its event, and with a rolling shutter of its row
+    first: Integers  # Frame i has the detections first[i] to first[i + 1] - 1
+    not_invertible: Integers  # (e,): Detections of each frame that are left out, as no lens model images them
+    # (n, 2), (n, 2, 2), (n,): Undistorted pixels of all detections, covariances, and areas, as in an `Event`.
+    points: Array
+    covariances: Array
+    areas: Array
+    # (n,), (n, 3): Delays, s, and travels as in an `Event`; NaN where it has none.
+    delays: Array
+    travels: Array
     source: Integers  # (n,) of int: Which detection of the recording each one is
     recording: Recording
 
@@ -159,59 +164,61 @@ class Scans:
         frames = np.arange(len(recording.cameras)) if frames is None else frames
         true = recording.true_times(cameras)
         frames = frames[np.lexsort((recording.cameras[frames], true[frames]))]
-        events: list[Event | None] = [None] * len(frames)
-        sources: list[Integers] = [np.empty(0, dtype=np.int64)] * len(frames)
+        counts, of_frame = np.diff(recording.first)[frames], recording.cameras[frames]
+        frame = np.repeat(np.arange(len(frames)), counts)
+        rows = np.arange(len(frame)) + np.repeat(recording.first[frames] - np.cumsum(counts) + counts, counts)
+        values = [np.full((len(rows), *shape), np.nan) for shape in ((2,), (2, 2), (), (), (3,))]
         for number, camera in enumerate(cameras):
-            places = np.flatnonzero(recording.cameras[frames] == number)
-            for place, event, source in _events_of(recording, camera, number, frames[places], true):
-                events[places[place]], sources[places[place]] = event, source
-        made = [event for event in events if event is not None]
-        return _joined(made, np.concatenate([np.empty(0, dtype=np.int64), *sources]), recording)
+            own = np.flatnonzero(of_frame[frame] == number)
+            found = framed_detections(
+                camera, true[frames[frame[own]]], recording.pixels[rows[own]], recording.sigma[rows[own]]
+            )
+            for value, part in zip(values, found, strict=True):
+                value[own] = np.nan if part is None else part
+        points, areas = values[0], values[2]
+        order = np.lexsort((points[:, 1], points[:, 0], frame))
+        order = order[np.isfinite(points[order]).all(axis=1) & (areas[order] > 0.0)]
+        first = np.searchsorted(frame[order], np.arange(len(frames) + 1))
+        points, covariances, areas, delays, travels = (value[order] for value in values)
+        return Scans(
+            true[frames], of_frame, first, counts - np.diff(first), points, covariances, areas, delays, travels,
+            rows[order], recording,
+        )  # fmt: skip
+
+    @cached_property
+    def event_of(self) -> Integers:
+        """Frame (n,) of each detection."""
+        return np.repeat(np.arange(len(self.times)), np.diff(self.first))
+
+    @cached_property
+    def detection_times(self) -> Array:
+        """Time (n,) of each detection, s: of its frame, and with a rolling shutter of its row."""
+        return self.times[self.event_of] + np.nan_to_num(self.delays)
+
+    @cached_property
+    def events(self) -> tuple[Event, ...]:
+        """The events, as `stereophd.core.disparity.events.make_event` makes them one by one."""
+        ends, out = self.first.tolist(), []
+        late, moving = (
+            set(self.cameras[self.event_of[~np.isnan(each)]].tolist()) for each in (self.delays, self.travels[:, 0])
+        )
+        for number, (time_s, camera) in enumerate(zip(self.times.tolist(), self.cameras.tolist(), strict=True)):
+            own = slice(ends[number], ends[number + 1])
+            out.append(
+                Event(
+                    time_s, camera, self.points[own], self.covariances[own], self.areas[own],
+                    self.delays[own] if camera in late else None,
+                    not_invertible=int(self.not_invertible[number]),
+                    travels=self.travels[own] if camera in moving else None,
+                )
+            )  # fmt: skip
+        return tuple(out)
 
     def of_camera(self, camera: int) -> Scans:
-        """Return the events of one camera."""
-        numbers = np.flatnonzero(self.cameras == camera)
-        rows = [np.arange(self.first[i], self.first[i + 1]) for i in numbers]
-        return _joined([self.events[i] for i in numbers], self.source[np.concatenate(rows)], self.recording)
-
-
-def _events_of(
-    recording: Recording, camera: Camera, number: int, frames: Integers, times: Array
-) -> list[tuple[int, Event, Integers]]:
-    """Events of the frames of one camera, as `stereophd.core.disparity.events.make_event` makes them one by one."""
-    counts = np.diff(recording.first)[frames]
-    of_frame = np.repeat(np.arange(len(frames)), counts)
-    rows = np.concatenate([[], *(np.arange(recording.first[i], recording.first[i + 1]) for i in frames)]).astype(int)
-    pixels, sigma = recording.pixels[rows], recording.sigma[rows]
-    points, covariances, areas, delays, moved = framed_detections(camera, times[frames][of_frame], pixels, sigma)
-    order = np.lexsort((points[:, 1], points[:, 0], of_frame))
-    order = order[np.isfinite(points[order]).all(axis=1) & (areas[order] > 0.0)]
-    ends = np.searchsorted(of_frame[order], np.arange(len(frames) + 1))
-    out = []
-    for place, frame in enumerate(frames.tolist()):
-        one = order[ends[place] : ends[place + 1]]
-        event = Event(
-            float(times[frame]), number, points[one], covariances[one], areas[one],
-            None if delays is None else delays[one], not_invertible=int(counts[place]) - len(one),
-            travels=None if moved is None else moved[one],
+        """Return the frames of one camera."""
+        frames, rows = self.cameras == camera, self.cameras[self.event_of] == camera
+        return Scans(
+            self.times[frames], self.cameras[frames], np.append(0, np.cumsum(np.diff(self.first)[frames])),
+            self.not_invertible[frames], self.points[rows], self.covariances[rows], self.areas[rows],
+            self.delays[rows], self.travels[rows], self.source[rows], self.recording,
         )  # fmt: skip
-        out.append((place, event, rows[one]))
-    return out
-
-
-def _joined(events: list[Event], source: Integers, recording: Recording) -> Scans:
-    counts = np.array([len(event.points) for event in events], dtype=np.int64)
-    delayed = [
-        event.time_s + (np.zeros(len(event.points)) if event.delays is None else event.delays) for event in events
-    ]
-    return Scans(
-        tuple(events),
-        np.array([event.time_s for event in events]),
-        np.array([event.camera for event in events], dtype=np.int64),
-        np.concatenate([[0], np.cumsum(counts)]),
-        np.concatenate([np.empty((0, 2)), *(event.points for event in events)]),
-        np.repeat(np.arange(len(events)), counts),
-        np.concatenate([np.empty(0), *delayed]),
-        source,
-        recording,
-    )

@@ -29,7 +29,13 @@ from scipy.linalg import LinAlgError, cho_factor, cho_solve, cho_solve_banded
 
 from stereophd.core.arrays import Array, Booleans
 from stereophd.core.calibration.adjustment import normal_equations
-from stereophd.core.calibration.adjustment.linearisation import Linearisation, NormalEquations, Placement, factor_knots
+from stereophd.core.calibration.adjustment.linearisation import (
+    Linearisation,
+    NormalEquations,
+    Placement,
+    Seen,
+    factor_knots,
+)
 from stereophd.core.calibration.adjustment.problem import Problem
 from stereophd.core.calibration.adjustment.trajectories import STATED
 from stereophd.core.calibration.time_limit import within
@@ -132,14 +138,15 @@ def settled_knots(
     most: int = KNOT_STEPS,
     settled: float = KNOTS_SETTLED,
     placement: Placement | None = None,
-) -> tuple[Array, float]:
+) -> tuple[Array, float, Seen]:
     """Minimise the cost by the knots (k, 2, 3) alone, until it would fall by no more than `settled`; no loss counts.
 
-    Also returns by how much the last step looked at would lower it: `settled` at most where the minimum was found.
+    Also returns by how much the last step looked at would lower it, `settled` at most where the minimum was found, and
+    what is seen there, without derivatives by values.
     Raises LinAlgError when the matrix of the knots is not positive definite, or the cost is not finite.
     """
     placement = placement or linearisation.placed(values, by_values=False)
-    cost, bands, vector = linearisation.of_knots(values, states, noise, placement)
+    cost, bands, vector, seen = linearisation.of_knots(values, states, noise, placement)
     promised = np.inf
     for _ in range(most):
         if not np.isfinite(cost):
@@ -148,7 +155,6 @@ def settled_knots(
         if (promised := float(vector @ step)) <= settled:
             break
         if promised <= KNOTS_NEAR:
-            seen = linearisation.residuals(values, states, placement, by_values=False)
             step = cho_solve_banded((linearisation.factor_of_knots(seen, bands), True), vector)
         share = 1.0
         while share >= LEAST_SHARE:
@@ -159,8 +165,8 @@ def settled_knots(
             share *= 0.5
         else:
             break
-        states, (cost, bands, vector) = moved, tried
-    return states, promised
+        states, (cost, bands, vector, seen) = moved, tried
+    return states, promised, seen
 
 
 def adjust(
@@ -228,7 +234,7 @@ def _followed(
     problem = linearisation.problem.weighted(linearisation.problem.weights(before.distances))
     weighted, settled = replace(linearisation, problem=problem), CONVERGED * max(before.cost, 1.0)
     try:
-        states, _ = settled_knots(weighted, values, states, STATED, FOLLOWING_STEPS, settled)
+        states, _, _ = settled_knots(weighted, values, states, STATED, FOLLOWING_STEPS, settled)
     except LinAlgError:
         return values, states, after
     return values, states, linearisation.at(values, states)

@@ -72,7 +72,7 @@ def _scores(posterior: MarginalPosterior, point: Point) -> Array:
     values, noise = posterior.parted(point.unknowns)
     following = point.eliminated.following().reshape(len(states), 2, 3, unknowns)
     path, seen, pulls = point.seen.placement.path, point.seen, linearisation.pulls(point.seen)
-    direct = np.einsum("nrq,nr->nq", seen.by_value, pulls) - volume.by_value(linearisation)
+    direct = -volume.by_value(linearisation, -pulls)
     of_point = np.einsum("nra,nr->na", seen.by_point, pulls) - volume.by_point
     ends = np.quantile(observations.times, np.linspace(0.0, 1.0, STRETCHES + 1))[1:-1]
     scores, after = np.zeros((STRETCHES, unknowns)), np.minimum(path.knot + 1, len(states) - 1)

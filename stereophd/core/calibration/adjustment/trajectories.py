@@ -90,14 +90,18 @@ def place_knots(detected: Sequence[Array], spacing: float, motion: Motion) -> Kn
     return Knots(np.concatenate([*pieces, np.empty(0)]), first, spans, least_noise(motion), motion)
 
 
+@compiled
 def _some_of(times: Array, spacing: float) -> Array:
     """Return those of increasing times that `place_knots` takes."""
-    chosen, following = [], 0
+    chosen, count, following = np.empty_like(times), 0, 0
     while following < len(times):
-        chosen.append(following)
-        soon, late = np.searchsorted(times, times[following] + np.array([SOON, 1.0]) * spacing, side="right")
-        following = int(late - 1 if late > soon else late)
-    return times[chosen]
+        begin, late = times[following], following + 1
+        chosen[count] = begin
+        count += 1
+        while late < len(times) and times[late] <= begin + spacing:
+            late += 1
+        following = late - 1 if times[late - 1] > begin + SOON * spacing else late
+    return chosen[:count]
 
 
 def least_noise(motion: Motion) -> Array:
@@ -250,9 +254,9 @@ class MotionPrior:
                 np.add.at(bands[row - column], 2 * links.knot + column, links.precisions[:, row, column])
         return MotionPrior(bands, pull, links.energy.sum(axis=0), knots.motion.moves, links)
 
-    def with_axes(self, precision: Array) -> Array:
-        """Return the matrix of all unknowns, lower banded (12, 6 k), at a precision (3, 3) of the noise."""
-        out = np.zeros((12, 3 * self.bands.shape[1]))
+    def with_axes(self, precision: Array, out: Array | None = None) -> Array:
+        """Return or add to `out` the matrix (12, 6 k) of all unknowns at a precision (3, 3) of the noise."""
+        out = np.zeros((12, 3 * self.bands.shape[1])) if out is None else out
         for (below, unit), i, j in product(enumerate(self.bands), range(3), range(3)):
             if 3 * below + i >= j and precision[i, j] != 0.0:  # axes that are independent have no products
                 out[3 * below + i - j, j::3] += precision[i, j] * unit

@@ -1,11 +1,11 @@
 """How the volume of the trajectories, half of log det A, changes with values and points, detection by detection.
 
 With the covariance S of the point of a detection, of weight w, precision P and derivative J by the point, a change of
-A by any of its unknowns changes the volume by w tr(S J^T P dJ). The second derivatives of the pixel by a value that
-this needs are differences of first ones, along the two rows of K = w P J S: dJ by a value is the change by the point of
-the derivative by the value. A later time of a detection also moves the weights of its knots, from those of the position
-to those of the velocity. The covariances are those parts of the inverse of A that lie within its band (K. Takahashi,
-J. Fagan and M.-S. Chin, "Formation of a sparse bus impedance matrix", 1973).
+A by any of its unknowns changes the volume by w tr(S J^T P dJ): the detection pulls at its J with K = w P J S. As dJ by
+a value is the change by the point of the derivative by the value, that is what a quantity knows about pulls along the
+two rows of K (`quantities.base.Pull`). A later time of a detection also moves the weights of its knots, from those of
+the position to those of the velocity. The covariances are those parts of the inverse of A that lie within its band
+(K. Takahashi, J. Fagan and M.-S. Chin, "Formation of a sparse bus impedance matrix", 1973).
 """
 
 from __future__ import annotations
@@ -17,11 +17,6 @@ import numpy as np
 from stereophd.core.arrays import Array, Integers
 from stereophd.core.calibration.adjustment.linearisation import Linearisation, Seen
 from stereophd.core.numerics.compilation.compiled import compiled
-
-# Step of the differences, in pixels: to one side, so that they are wrong by this part of the focal length.
-STEP_PX = 1e-4
-# Stands for a norm of 0, of what is not seen; its inverse squared is a number.
-LEAST_NORM = 1e-150
 
 
 @compiled
@@ -54,6 +49,45 @@ def summed_covariances(inverse: Array, knots: Integers, weights: Array, out: Arr
                         out[n, i, j] += weight * inverse[abs(row - column), min(row, column)]
 
 
+@compiled
+def _slopes(
+    inverse: Array, knots: Integers, weights: Array, rates: Array, by_point: Array, precisions: Array, bends: Array
+) -> tuple[Array, Array, Array]:
+    """Return `rows`, `by_point` and `by_time` of `VolumeSlopes` from the inverse of A within its band.
+
+    `weights` and `rates` (n, 4) are those of positions and velocities, `precisions` (n, 2, 2) those of what is seen.
+    """
+    count = len(knots)
+    rows, of_point, by_time = np.zeros((count, 2, 3)), np.zeros((count, 3)), np.zeros(count)
+    here, moving, pull = np.empty((3, 3)), np.empty((3, 3)), np.empty(3)
+    for n in range(count):
+        here[:], moving[:], start = 0.0, 0.0, 6 * knots[n]
+        for b in range(4 if start + 6 < inverse.shape[1] else 2):
+            for c in range(b + 1):
+                both = weights[n, b] * weights[n, c]
+                first, second = weights[n, b] * rates[n, c], rates[n, b] * weights[n, c]
+                for i in range(3):
+                    for j in range(3):
+                        row, column = start + 3 * b + i, start + 3 * c + j
+                        covariance = inverse[abs(row - column), min(row, column)]
+                        here[i, j] += both * covariance
+                        moving[i, j] += first * covariance
+                        if c < b:
+                            here[j, i] += both * covariance
+                            moving[j, i] += second * covariance
+        for r in range(2):
+            for a in range(3):
+                pull[a] = precisions[n, r, 0] * by_point[n, 0, a] + precisions[n, r, 1] * by_point[n, 1, a]
+            for a in range(3):
+                for b in range(3):
+                    rows[n, r, a] += here[a, b] * pull[b]
+                    by_time[n] += by_point[n, r, a] * moving[a, b] * pull[b]
+            for a in range(3):
+                for b in range(3):
+                    of_point[n, a] += bends[n, r, a, b] * rows[n, r, b]
+    return rows, of_point, by_time
+
+
 @dataclass(frozen=True)
 class VolumeSlopes:
     """Derivatives of half of log det A at some values, its parts summing up to the whole."""
@@ -71,34 +105,22 @@ class VolumeSlopes:
         inverse = np.zeros_like(factor)
         inverse_in_band(factor, inverse)
         path, rates = seen.placement.path, seen.placement.rates
-        by_point = np.where(seen.visible[:, None, None], seen.by_point, 0.0)
-        spread = np.zeros((2, len(seen.world), 3, 3))
-        for of_points, weights in zip(spread, (path.weights, rates.weights), strict=True):
-            summed_covariances(inverse, path.knot, path.weights[:, :, None] * weights[:, None, :], of_points)
-        weighted = linearisation.precisions @ by_point
-        rows = weighted @ spread[0]
-        by_time = (by_point * (weighted @ spread[1].swapaxes(1, 2))).sum(axis=(1, 2))
-        of_point = np.einsum("nrab,nrb->na", seen.bends, rows)
+        precisions = np.where(seen.visible[:, None, None], linearisation.precisions, 0.0)
+        rows, of_point, by_time = _slopes(
+            inverse, path.knot, path.weights, rates.weights, seen.by_point, precisions, seen.bends
+        )
         links = linearisation.motion.links
         covariances = np.zeros((len(links.knot), 3, 3))
         summed_covariances(inverse, links.knot, links.precisions, covariances)
         by_noise = linearisation.noise_at(values, noise).by_unknowns(covariances)
         return VolumeSlopes(values, seen, rows, of_point, by_time, by_noise)
 
-    def by_value(self, linearisation: Linearisation, more: Array | float = 0.0, later: Array | float = 0.0) -> Array:
-        """Return derivatives (n, q) by the values of the camera of each detection.
+    def by_value(
+        self, linearisation: Linearisation, pixels: Array, more: Array | float = 0.0, later: Array | float = 0.0
+    ) -> Array:
+        """Return derivatives (n, q) by the values of the camera of each detection, of the volume and what adds to it.
 
-        `more` (n, 2, 3) and `later` (n,) add to those by the derivatives of the pixels and by the times.
+        This is given by weights `pixels` (n, 2) of the pixels, `more` (n, 2, 3) of their derivatives by the points, and
+        `later` (n,) of the times.
         """
-        before = self.seen
-        if not before.by_value.shape[2]:  # all values are held
-            return np.zeros((len(before.world), 0))
-        rows, out = self.rows + more, (self.by_time + later)[:, None] * linearisation.time_slopes
-        steps = STEP_PX / np.maximum(np.linalg.norm(before.by_point, axis=(1, 2)), LEAST_NORM)
-        for r in (0, 1):
-            size = np.linalg.norm(rows[:, r], axis=1)
-            moved = rows[:, r] * (steps / np.maximum(size, LEAST_NORM))[:, None]
-            after = linearisation.seen(before.placement, self.values, before.world + moved, before.velocities)
-            length = np.where(before.visible & after.visible, size / steps, 0.0)
-            out += length[:, None] * (after.by_value[:, r] - before.by_value[:, r])
-        return out
+        return linearisation.pulled(self.seen, self.values, pixels, self.rows + more, self.by_time + later)

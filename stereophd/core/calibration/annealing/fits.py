@@ -349,7 +349,7 @@ def _settled(problem: Problem, values: Array, states: Array) -> Array:
     """
     with suppress(LinAlgError):
         squares = Linearisation.of(replace(problem, loss=SQUARED))
-        states, _ = settled_knots(squares, values, states, most=SETTLING_STEPS)
+        states, _, _ = settled_knots(squares, values, states, most=SETTLING_STEPS)
     return states
 
 

@@ -119,7 +119,7 @@ class Task:
             if tried and len(part.pixels) <= tried[0][0]:
                 continue  # no tracks in it can hold more
             scans = Scans.of(part, parameters.cameras)
-            tracking = scans if len(frames) == len(scans.events) else Scans.of(part, parameters.cameras, frames)
+            tracking = scans if len(frames) == len(scans.times) else Scans.of(part, parameters.cameras, frames)
             tracks = one_camera_tracks(multi_filter, tracking, settings)
             followed = sum(len(rows) for _, rows in tracks) / max(len(tracking.points), 1)
             tried.append((followed * len(part.pixels), part, frames, scans, tracking, tracks))

@@ -86,8 +86,7 @@ def one_camera_tracks(
     for camera in np.unique(scans.cameras).tolist():
         alone = scans.of_camera(camera)
         if settings.one_camera_tracks == "image":
-            precisions = np.linalg.inv(np.concatenate([event.covariances for event in alone.events]))
-            noise = 1.0 / np.sqrt(precisions[:, 0, 0])
+            noise = 1.0 / np.sqrt(np.linalg.inv(alone.covariances)[:, 0, 0])
             reach = IMAGE_REACH * float(scans.recording.heights[camera])
             tracks = linked(alone.times, alone.first, alone.points, noise, reach)
         else:

@@ -7,8 +7,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from stereophd.core.arrays import Array
 from stereophd.core.calibration.adjustment import marginal
-from stereophd.core.calibration.adjustment.linearisation import Linearisation
+from stereophd.core.calibration.adjustment.linearisation import Linearisation, Seen
 from stereophd.core.calibration.adjustment.marginal import (
     MarginalPosterior,
     Point,
@@ -73,7 +74,7 @@ def test_knots_settle_in_few_steps_where_one_camera_alone_sees_an_object() -> No
     rows = np.flatnonzero((observations.trajectories > 0) | (observations.cameras == 0) | (observations.times < 3.0))
     problem, states = problem_of(true, observations.take(rows), points[rows])
     linearisation, values = Linearisation.of(problem), np.zeros(true.size)
-    states, _ = settled_knots(linearisation, values, states)
+    states, _, _ = settled_knots(linearisation, values, states)
     values = 0.3 * true.prior_std
     few, enough = (settled_knots(linearisation, values, states, most=most, settled=1e-12)[0] for most in (3, 100))
     cost = [linearisation.of_knots(values, knots)[0] for knots in (few, enough)]
@@ -168,7 +169,12 @@ def test_the_gradient_knows_how_the_knots_settle(monkeypatch: pytest.MonkeyPatch
     at = posterior.at(np.append(drawn, NOISE), states)
     settled, root, missed = posterior.gradient(at), posterior.root(at), []
     away = np.random.default_rng(4).standard_normal(states.shape)
-    monkeypatch.setattr(marginal, "settled_knots", lambda _linearisation, _values, knots, *_args, **_more: (knots, 0.0))
+
+    def as_they_are(linearisation: Linearisation, values: Array, knots: Array, *_: object) -> tuple[Array, float, Seen]:
+        seen = linearisation.residuals(values, knots, linearisation.placed(values), by_values=False)
+        return knots, 0.0, seen
+
+    monkeypatch.setattr(marginal, "settled_knots", as_they_are)
     for step in (1e-4, 1e-3):
         beside = posterior.at(at.unknowns, at.states + step * away)
         missed.append(float(np.linalg.norm(root.T @ (posterior.gradient(beside) - settled))))
@@ -191,7 +197,7 @@ def test_the_equations_of_the_knots_alone_are_those_of_all(motion: Motion) -> No
     problem = replace(problem, knots=replace(problem.knots, motion=motion))
     linearisation = Linearisation.of(problem)
     whole = linearisation.at(drawn, states, NOISE)
-    _, bands, vector = linearisation.of_knots(drawn, states, NOISE)
+    _, bands, vector, _ = linearisation.of_knots(drawn, states, NOISE)
     np.testing.assert_allclose(bands, whole.bands, rtol=1e-12)
     np.testing.assert_allclose(vector, whole.state_vector, rtol=1e-9, atol=1e-9 * np.abs(whole.state_vector).max())
 

@@ -130,7 +130,7 @@ def test_a_rig_is_seen_as_its_cameras_one_by_one() -> None:
         here = np.flatnonzero(of_row == number)
         view = sights.view(number, here, found, velocities, times, times, times)
         alone = view_of(camera, world[here], velocities[here], times[here], times[here], times[here])
-        for name in ("ahead", "visible", "elapsed", "points", "distorted", "pixels", "by_point", "by_world", "by_time"):
+        for name in ("ahead", "visible", "elapsed", "points", "distorted", "pixels", "by_point", "by_world", "drift"):
             np.testing.assert_allclose(getattr(view, name), getattr(alone, name), rtol=1e-9, atol=1e-9)
         moved = world[here] - camera.pose.motions(times[here]).centers
         expected = np.einsum("nij,nj->ni", camera.pose.motions(times[here]).rotations, moved)
@@ -201,6 +201,43 @@ def test_derivative_is_that_of_finite_differences(quantity: Quantity, lens: str,
         scale = max(float(np.abs(numeric).max()), 1.0)
         np.testing.assert_allclose(derivative[:, :, k], numeric, atol=2e-6 * scale)
     assert np.isfinite(pixels).all()
+
+
+@pytest.mark.parametrize("pose", ["still", "moving", "mounted"])
+@pytest.mark.parametrize("lens", LENSES)
+def test_pulls_follow_values_as_pixels_and_their_derivatives_do(lens: str, pose: str) -> None:
+    """At pixels, and along a line of points for each coordinate at the derivatives; also beyond the edge of a lens."""
+    camera = make_camera(lens, moving=pose == "moving", mounted=pose == "mounted")
+    rng, count, step = np.random.default_rng(7), 30, 1e-5
+    ahead = np.column_stack([rng.uniform(-9.0, 9.0, (count, 2)), rng.uniform(2.0, 9.0, count)])
+    times, rows = rng.uniform(0.0, 6.0, count), rng.uniform(0.0, 1.0, count)
+    motions = camera.pose.motions(times)
+    turns = np.broadcast_to(motions.rotations, (count, 3, 3))
+    world = np.einsum("nba,nb->na", turns, ahead) + motions.centers
+    velocities, pixels, lines = rng.normal(0.0, 0.3, (count, 3)), *rng.normal(0.0, 1.0, (2, count, 2, 3))
+    sights = Sights.of((camera,), np.zeros(count, dtype=np.int64), times)
+    seen = sights.project(world)
+    later = rng.standard_normal(count)
+    pull = sights.pull(seen, pixels[:, :, 0], lines, later, sights.bends(seen.points, seen.ahead))
+    view = sights.view(0, slice(None), seen, velocities, times, times, rows)
+    for quantity in quantities():
+        if not quantity.available(camera):
+            continue
+        values = np.zeros(len(quantity.components))
+
+        def derivative(points: np.ndarray, of: Quantity = quantity, at: np.ndarray = values) -> np.ndarray:
+            return of.derivative(view_of(camera, points, velocities, times, times, rows), at)
+
+        expected = np.einsum("nr,nrk->nk", pixels[:, :, 0], derivative(world))
+        for r in (0, 1):
+            ahead_of, behind = (derivative(world + sign * step * lines[:, r])[:, r] for sign in (1.0, -1.0))
+            expected += (ahead_of - behind) / (2.0 * step)
+        if quantity.affects == TIMES:
+            expected += (later * {"clock_rate": times, "readout": rows}.get(quantity.name, 1.0))[:, None]
+        scale = np.abs(expected).max()
+        np.testing.assert_allclose(
+            quantity.pulled(view, pull, values), expected, atol=1e-6 * scale, err_msg=quantity.name
+        )
 
 
 @pytest.mark.parametrize("mounted", [False, True])

@@ -8,7 +8,7 @@ does not depend on the order in which they are applied, and the negative values 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from functools import reduce
+from functools import cached_property, reduce
 from typing import Any, ClassVar
 
 import numpy as np
@@ -55,6 +55,23 @@ class Projection(ArrayRows):
 
 
 @dataclass(frozen=True)
+class Pull(ArrayRows):
+    """Linear functions of the raw pixels of n points, and of their derivatives by the point: how n detections pull.
+
+    The derivatives by the point are taken along a line for each coordinate of the pixel. Whatever moves points with
+    respect to a camera changes the functions by forces and torques, as in the mechanics of a rigid body.
+    """
+
+    pixels: Array  # (n, 2): Weights of the raw pixels
+    later: Array  # (n,): Weights of the true times, beside what moves the pixels
+    stretches: Array  # (n, 2): Changes of the pixels along the lines
+    force: Array  # (n, 3): At the point, in the world's axes
+    turned_force: Array  # (n, 3): The same in the camera's axes
+    torque: Array  # (n, 3): About the camera's centre, in its axes
+    undistorted: Array  # (n, 2, 2): Changes of the undistorted point along each line
+
+
+@dataclass(frozen=True)
 class CameraView(Projection):
     """The view of one camera on points of trajectories at the times of its detections."""
 
@@ -64,7 +81,28 @@ class CameraView(Projection):
     rows: Array  # (n,): Row of the detection over the height of the image
     # (n, 3, 3) or None: Turn of a moving camera since ``camera.pose.time_s``; None of a camera that does not turn.
     turns: Array | None
-    by_time: Array  # (n, 2): Derivative of the raw pixel with respect to the true time of the detection, px/s
+    drift: Array  # (n, 3): Velocity of the point with respect to the camera's centre, in the world's axes
+    rates: Array | None  # (n, 3): Angular velocity of a camera about its axes, rad/s; None where it does not turn
+
+    @cached_property
+    def of_pixels(self) -> tuple[Pull, Pull]:
+        """The raw pixels themselves, u and v, as pulls."""
+        none = np.zeros((len(self.points), 2))
+        first, second = (
+            Pull(
+                np.broadcast_to(np.eye(2)[r], none.shape), none[:, 0], none, self.by_world[:, r], self.by_point[:, r],
+                np.cross(self.points, self.by_point[:, r]), np.broadcast_to(0.0, (*none.shape, 2)),
+            )
+            for r in (0, 1)
+        )  # fmt: skip
+        return first, second
+
+    def by_time(self, pull: Pull) -> Array:
+        """Derivatives (n, 1) of a pull with respect to the true times of the detections, per second."""
+        out = pull.later + np.einsum("na,na->n", pull.force, self.drift)
+        if self.rates is not None:
+            out -= np.einsum("na,na->n", pull.torque, self.rates)
+        return np.asarray(out[:, None])
 
 
 # What of ``cameras.yaml`` a quantity determines, as nested plain values.
@@ -105,8 +143,12 @@ class Quantity(ABC):
         return self._entry(camera) if self._is_of(camera) else {}
 
     @abstractmethod
+    def pulled(self, view: CameraView, pull: Pull, values: Array) -> Array:
+        """Derivative (n, k) of a pull at what a view has seen, with respect to the values."""
+
     def derivative(self, view: CameraView, values: Array) -> Array:
         """Derivative (n, 2, k) of the raw pixels of a view, with respect to the values."""
+        return np.stack([self.pulled(view, pull, values) for pull in view.of_pixels], axis=1)
 
     def pack(self, spaces: Array, camera: Camera, values: Array) -> None:
         """Apply values (h, k) to h packed copies (h, 28 or more) of a camera in place; of poses alone."""

@@ -5,11 +5,16 @@ from dataclasses import replace
 import numpy as np
 
 from stereophd.core.arrays import Array
-from stereophd.core.calibration.unknowns.quantities.base import IMAGES, PIXELS, RATIO, CameraView, Entry, Quantity
+from stereophd.core.calibration.unknowns.quantities.base import IMAGES, PIXELS, RATIO, CameraView, Entry, Pull, Quantity
 from stereophd.core.geometry.camera import Camera
 from stereophd.core.geometry.lens import PARAMETERS
 from stereophd.core.settings import LARGEST_PX
 
+# Step of differences of the derivatives by coefficients, in normalised coordinates: to one side, so that they are wrong
+# by this part.
+STEP = 1e-7
+# In place of a length of 0.
+LEAST = 1e-150
 DISTORTION = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
 
 
@@ -29,9 +34,11 @@ class Focal(Quantity):
     def _difference(self, camera: Camera, other: Camera) -> Array:
         return np.array([np.log(other.fx / camera.fx)])
 
-    def derivative(self, view: CameraView, values: Array) -> Array:
+    def pulled(self, view: CameraView, pull: Pull, values: Array) -> Array:
         """The pixel moves away from the principal point."""
-        return np.asarray((view.distorted * [view.camera.fx, view.camera.fy])[:, :, None])
+        camera, (x, y) = view.camera, view.distorted.T
+        out = pull.pixels[:, 0] * (camera.fx * x) + pull.pixels[:, 1] * (camera.fy * y)
+        return np.asarray((out + pull.stretches[:, 0] + pull.stretches[:, 1])[:, None])
 
     def _entry(self, camera: Camera) -> Entry:
         return {"intrinsics": {"fx": camera.fx, "fy": camera.fy}}
@@ -52,10 +59,10 @@ class Aspect(Quantity):
     def _difference(self, camera: Camera, other: Camera) -> Array:
         return np.array([np.log(other.fy / other.fx / (camera.fy / camera.fx))])
 
-    def derivative(self, view: CameraView, values: Array) -> Array:
+    def pulled(self, view: CameraView, pull: Pull, values: Array) -> Array:
         """The pixel moves along v only."""
         along = view.camera.fy * view.distorted[:, 1]
-        return np.stack([np.zeros_like(along), along], axis=1)[:, :, None]
+        return np.asarray((pull.pixels[:, 1] * along + pull.stretches[:, 1])[:, None])
 
     def _entry(self, camera: Camera) -> Entry:
         return {"intrinsics": {"fx": camera.fx, "fy": camera.fy}}
@@ -76,9 +83,9 @@ class PrincipalPoint(Quantity):
     def _difference(self, camera: Camera, other: Camera) -> Array:
         return np.array([other.cx - camera.cx, other.cy - camera.cy])
 
-    def derivative(self, view: CameraView, values: Array) -> Array:
+    def pulled(self, view: CameraView, pull: Pull, values: Array) -> Array:
         """All pixels move alike."""
-        return np.broadcast_to(np.eye(2), (len(view.pixels), 2, 2))
+        return pull.pixels
 
     def _entry(self, camera: Camera) -> Entry:
         return {"intrinsics": {"cx": camera.cx, "cy": camera.cy}}
@@ -111,27 +118,40 @@ class Distortion(Quantity):
 
     def derivative(self, view: CameraView, values: Array) -> Array:
         """Derivative of the distorted point with respect to each coefficient, in pixels."""
-        camera, lens = view.camera, view.camera.lens
-        x, y = view.undistorted[:, 0], view.undistorted[:, 1]
-        s, u, v = x * x + y * y, camera.fx * x, camera.fy * y
-        out = np.zeros((len(DISTORTION), 2, len(s)))
+        return self._slopes(view.camera, view.undistorted[:, None])
+
+    def pulled(self, view: CameraView, pull: Pull, values: Array) -> Array:
+        """The pixel moves by its derivative, which changes along the line of each coordinate."""
+        before, there = self.derivative(view, values), view.undistorted[:, None]
+        lengths = np.hypot(pull.undistorted[:, :, 0], pull.undistorted[:, :, 1]) / STEP
+        after = self._slopes(view.camera, there + pull.undistorted / np.maximum(lengths, LEAST)[:, :, None])
+        return np.asarray(
+            np.einsum("nr,nrk->nk", pull.pixels, before) + np.einsum("nr,nrk->nk", lengths, after - before)
+        )
+
+    def _slopes(self, camera: Camera, undistorted: Array) -> Array:
+        """Return `derivative` (n, 2, k) with either row at its own point; points (n, 2, 2), or (n, 1, 2) for both."""
+        lens, (x, y) = camera.lens, undistorted.T
+        s, u, v = x * x + y * y, camera.fx * x[:1], camera.fy * y[-1:]
+        uv = np.concatenate([u, v])
+        out = np.zeros((len(DISTORTION), 2, len(undistorted)))
         if lens.model == "fisheye":
             radius = np.sqrt(s)
             angle = np.arctan(radius)
             scale = angle / np.where(radius > 0.0, radius, 1.0)
             for name in PARAMETERS["fisheye"]:
                 scale = scale * angle**2
-                out[DISTORTION.index(name)] = scale * u, scale * v
+                out[DISTORTION.index(name)] = scale * uv
         else:
             denominator = 1.0 + s * (lens.k4 + s * (lens.k5 + s * lens.k6))
             ratio = (1.0 + s * (lens.k1 + s * (lens.k2 + s * lens.k3))) / denominator
             scale = 1.0 / denominator
             for power in (1, 2, 3):
                 scale = scale * s
-                out[DISTORTION.index(f"k{power}")] = scale * u, scale * v
-                out[DISTORTION.index(f"k{power + 3}")] = -ratio * scale * u, -ratio * scale * v
-            out[2] = 2.0 * u * y, camera.fy * (s + 2.0 * y * y)
-            out[3] = camera.fx * (s + 2.0 * x * x), 2.0 * x * v
+                out[DISTORTION.index(f"k{power}")] = scale * uv
+                out[DISTORTION.index(f"k{power + 3}")] = -ratio * scale * uv
+            out[2] = 2.0 * u[0] * y[0], camera.fy * (s + 2.0 * y * y)[-1]
+            out[3] = camera.fx * (s + 2.0 * x * x)[0], 2.0 * x[-1] * v[0]
         return out.transpose(2, 1, 0)
 
     def _entry(self, camera: Camera) -> Entry:

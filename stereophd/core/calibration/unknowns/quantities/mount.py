@@ -5,8 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from stereophd.core.arrays import Array
-from stereophd.core.calibration.unknowns.quantities.base import LENGTH, MOVES, RADIANS, CameraView, Entry, Quantity
-from stereophd.core.calibration.unknowns.quantities.pixel_derivatives import turned
+from stereophd.core.calibration.unknowns.quantities import base
 from stereophd.core.geometry.camera import Camera
 from stereophd.core.geometry.pose import Pose, rotation_from_vector, rotation_to_vector
 from stereophd.core.geometry.rotations import left_jacobians
@@ -24,12 +23,12 @@ def _mounted(camera: Camera, rotation: Array, center: Array) -> Camera:
     return replace(camera, pose=Pose.following(path, camera.pose.time_s))
 
 
-class MountCenter(Quantity):
+class MountCenter(base.Quantity):
     """Where a body of known trajectory carries a camera: the optical centre in the body's axes (hand-eye)."""
 
     name = "mount_center"
     components = ("mount_center_x", "mount_center_y", "mount_center_z")
-    unit, affects = LENGTH, MOVES
+    unit, affects = base.LENGTH, base.MOVES
     prior = "mount_center_std"
     description = (
         "standard deviation of the centre on the body that carries the camera, length; one value or x, y, z of the body"
@@ -42,15 +41,15 @@ class MountCenter(Quantity):
     def _difference(self, camera: Camera, other: Camera) -> Array:
         return np.asarray(_path(other).center - _path(camera).center)
 
-    def derivative(self, view: CameraView, values: Array) -> Array:
+    def pulled(self, view: base.CameraView, pull: base.Pull, values: Array) -> Array:
         """Moving the camera on the body moves the point the other way, turned from the body's axes to the camera's."""
-        return -view.by_point @ _path(view.camera).rotation
+        return -pull.turned_force @ _path(view.camera).rotation
 
-    def _entry(self, camera: Camera) -> Entry:
+    def _entry(self, camera: Camera) -> base.Entry:
         return {"pose": {"mount": {"center": _path(camera).center.tolist()}}}
 
 
-class MountRotation(Quantity):
+class MountRotation(base.Quantity):
     """How a body of known trajectory carries a camera: a turn v about the camera's own axes (hand-eye).
 
     The rotation from body to camera axes is exp([v]_x) times that of the prior mean.
@@ -58,7 +57,7 @@ class MountRotation(Quantity):
 
     name = "mount_rotation"
     components = ("mount_rotation_x", "mount_rotation_y", "mount_rotation_z")
-    unit, affects = RADIANS, MOVES
+    unit, affects = base.RADIANS, base.MOVES
     prior, prior_unit, largest_std = "mount_rotation_std_deg", np.pi / 180.0, LARGEST_DEGREES
     description = (
         "standard deviation of the rotation on the body that carries the camera, degrees; one value or about "
@@ -72,9 +71,9 @@ class MountRotation(Quantity):
     def _difference(self, camera: Camera, other: Camera) -> Array:
         return rotation_to_vector(_path(other).rotation @ _path(camera).rotation.T)
 
-    def derivative(self, view: CameraView, values: Array) -> Array:
+    def pulled(self, view: base.CameraView, pull: base.Pull, values: Array) -> Array:
         """d (point in the camera) / d v = -[point]_x J_left(v)."""
-        return turned(view, left_jacobians(values[None])[0])
+        return np.asarray(pull.torque @ left_jacobians(values[None])[0])
 
-    def _entry(self, camera: Camera) -> Entry:
+    def _entry(self, camera: Camera) -> base.Entry:
         return {"pose": {"mount": {"rotation_matrix": _path(camera).rotation.tolist(), "rotation_vector_deg": None}}}

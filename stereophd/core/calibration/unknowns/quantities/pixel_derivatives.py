@@ -9,15 +9,16 @@ from typing import NamedTuple
 import numpy as np
 
 from stereophd.core.arrays import Array, Booleans, Integers
-from stereophd.core.calibration.unknowns.quantities.base import CameraView, Projection
+from stereophd.core.calibration.unknowns.quantities.base import CameraView, Projection, Pull
 from stereophd.core.geometry.camera import Camera
 from stereophd.core.geometry.compiled_lenses import distort_point_jacobian
 from stereophd.core.geometry.layout import LENS_NONE
 from stereophd.core.geometry.trajectory import Motions
 from stereophd.core.numerics.compilation.compiled import compiled
 
-# Step of differences of a lens's derivatives, in normalised coordinates.
-LENS_STEP = 1e-4
+# Step of differences of a lens's derivatives, in normalised coordinates: to one side, so that they are wrong by this
+# part.
+LENS_STEP = 1e-7
 
 
 class Places(NamedTuple):
@@ -61,6 +62,13 @@ class Sights:
         """Second derivatives (n, 2, 3, 3) of the raw pixels by the point in the world, from `Projection`."""
         return np.asarray(_bends(points, ahead, self.places))
 
+    def pull(self, seen: Projection, pixels: Array, lines: Array, later: Array, bends: Array) -> Pull:
+        """Return the pull of weights (n, 2) of pixels, (n, 2, 3) of their derivatives by points, and (n,) of times.
+
+        The points are in the world; `bends` are the second derivatives, of those that are seen.
+        """
+        return Pull(pixels, later, *_pull(seen.points, seen.by_world, pixels, lines, bends, self.places))
+
     def view(self, number: int, here: Integers | slice, seen: Projection, velocities: Array, *at: Array) -> CameraView:
         """View of a camera on its rows `here`, with all that derivatives by its values need.
 
@@ -70,14 +78,12 @@ class Sights:
         camera, motions, poses = self.cameras[number], self.places.motions, self.places.poses[here]
         pose, (times, log_times, rows) = camera.pose, (values[here] for values in at)
         part = seen.take(here)
-        by_time = np.einsum("nij,nj->ni", part.by_world, velocities[here] - motions.velocities[poses])
-        turns = None
+        turns = rates = None
         if pose.path is not None or pose.rotation_rate.any():
-            turns = motions.rotations[poses] @ pose.rotation.T
-            by_time += np.einsum("nij,nj->ni", part.by_point, np.cross(part.points, motions.rates[poses]))
+            turns, rates = motions.rotations[poses] @ pose.rotation.T, motions.rates[poses]
         return CameraView(
             **vars(part), camera=camera, elapsed=times - pose.time_s, log_times=log_times, rows=rows, turns=turns,
-            by_time=by_time,
+            drift=velocities[here] - motions.velocities[poses], rates=rates,
         )  # fmt: skip
 
 
@@ -154,7 +160,6 @@ def _bends(points: Array, ahead: Booleans, places: Places) -> Array:
     """`Sights.bends` of points (n, 3) in the camera's axes; second derivatives of lenses are differences."""
     out, by_point = np.zeros((len(points), 2, 3, 3)), np.empty((3, 3))
     slope, second = np.empty((2, 2)), np.empty((2, 3))
-    half = 0.5 / LENS_STEP
     for n in np.flatnonzero(ahead):
         number, turn = places.of_row[n], places.motions.rotations[places.poses[n]]
         camera, lens = places.intrinsics[number], places.lenses[number]
@@ -167,11 +172,10 @@ def _bends(points: Array, ahead: Booleans, places: Places) -> Array:
         else:
             _, _, _, slope[0, 0], slope[0, 1], slope[1, 0], slope[1, 1] = _imaged(code, lens, max_radius, x, y)
             _, _, _, r00, r01, r10, r11 = _imaged(code, lens, max_radius, x + LENS_STEP, y)
-            _, _, _, l00, l01, l10, l11 = _imaged(code, lens, max_radius, x - LENS_STEP, y)
             _, _, _, _, d01, _, d11 = _imaged(code, lens, max_radius, x, y + LENS_STEP)
-            _, _, _, _, u01, _, u11 = _imaged(code, lens, max_radius, x, y - LENS_STEP)
-            second[0, 0], second[0, 1], second[0, 2] = half * (r00 - l00), half * (r01 - l01), half * (d01 - u01)
-            second[1, 0], second[1, 1], second[1, 2] = half * (r10 - l10), half * (r11 - l11), half * (d11 - u11)
+            second[0, 0], second[0, 1], second[0, 2] = r00 - slope[0, 0], r01 - slope[0, 1], d01 - slope[0, 1]
+            second[1, 0], second[1, 1], second[1, 2] = r10 - slope[1, 0], r11 - slope[1, 1], d11 - slope[1, 1]
+            second /= LENS_STEP
         for r in range(2):
             a, b, xx, xy, yy = slope[r, 0], slope[r, 1], second[r, 0], second[r, 1], second[r, 2]
             s = i * i * camera[r]
@@ -188,16 +192,39 @@ def _bends(points: Array, ahead: Booleans, places: Places) -> Array:
     return out
 
 
-def turned(view: CameraView, axes: Array) -> Array:
-    """Derivative (n, 2, 3) of the pixels for turns of the point's coordinates: point -> point - [point]_x axes d.
-
-    The columns of `axes`, (3, 3) or (n, 3, 3), turn with the three values.
-    """
-    out = np.empty((len(view.points), 2, 3))
-    x, y, z = view.points[:, 0], view.points[:, 1], view.points[:, 2]
-    for a in range(3):
-        l0, l1, l2 = axes[..., 0, a], axes[..., 1, a], axes[..., 2, a]
-        t0, t1, t2 = z * l1 - y * l2, x * l2 - z * l0, y * l0 - x * l1
-        for i in range(2):
-            out[:, i, a] = view.by_point[:, i, 0] * t0 + view.by_point[:, i, 1] * t1 + view.by_point[:, i, 2] * t2
-    return out
+@compiled
+def _pull(
+    points: Array, by_world: Array, pixels: Array, lines: Array, bends: Array, places: Places
+) -> tuple[Array, Array, Array, Array, Array]:
+    """Return the fields of `Pull` after the first two, of points (n, 3) in the camera's axes."""
+    count = len(points)
+    stretches, force, undistorted = np.zeros((count, 2)), np.zeros((count, 3)), np.empty((count, 2, 2))
+    turned, torque, moment, line = np.empty((count, 3)), np.empty((count, 3)), np.empty(3), np.empty(3)
+    for n in range(count):
+        number, turn = places.of_row[n], places.motions.rotations[places.poses[n]]
+        camera, p, f = places.intrinsics[number], points[n], turned[n]
+        inverse = 1.0 / p[2] if p[2] > 0.0 else 1.0
+        x, y = p[0] * inverse, p[1] * inverse
+        radius, moment[:] = math.hypot(x, y), 0.0
+        for r in range(2):
+            d, slope = lines[n, r], by_world[n, r]
+            for a in range(3):
+                stretches[n, r] += d[a] * slope[a]
+                b, c = (a + 1) % 3, (a + 2) % 3
+                moment[a] += d[b] * slope[c] - d[c] * slope[b]
+                line[a] = turn[a, 0] * d[0] + turn[a, 1] * d[1] + turn[a, 2] * d[2]
+                force[n, a] += pixels[n, r] * slope[a]
+                for k in range(3):
+                    force[n, a] += bends[n, r, a, k] * d[k]
+            along_x, along_y = (line[0] - x * line[2]) * inverse, (line[1] - y * line[2]) * inverse
+            if camera[4] != LENS_NONE and radius > camera[5]:  # only turns about the axis move it
+                along = (y * along_x - x * along_y) / radius**2 * camera[5] / radius
+                along_x, along_y = along * y, -along * x
+            undistorted[n, r, 0], undistorted[n, r, 1] = along_x, along_y
+        for a in range(3):
+            f[a] = turn[a, 0] * force[n, 0] + turn[a, 1] * force[n, 1] + turn[a, 2] * force[n, 2]
+            torque[n, a] = turn[a, 0] * moment[0] + turn[a, 1] * moment[1] + turn[a, 2] * moment[2]
+        torque[n, 0] += p[1] * f[2] - p[2] * f[1]
+        torque[n, 1] += p[2] * f[0] - p[0] * f[2]
+        torque[n, 2] += p[0] * f[1] - p[1] * f[0]
+    return stretches, force, turned, torque, undistorted

@@ -6,7 +6,6 @@ import numpy as np
 
 from stereophd.core.arrays import Array
 from stereophd.core.calibration.unknowns.quantities import base
-from stereophd.core.calibration.unknowns.quantities.pixel_derivatives import turned
 from stereophd.core.geometry import layout
 from stereophd.core.geometry.camera import Camera
 from stereophd.core.geometry.pose import rotation_from_vector, rotation_to_vector
@@ -32,9 +31,9 @@ class Center(base.Offset):
         """Return what moves one centre to the other, both at the time of the first pose."""
         return np.asarray(other.pose.at(camera.pose.time_s).center - camera.pose.center)
 
-    def derivative(self, view: base.CameraView, values: Array) -> Array:
+    def pulled(self, view: base.CameraView, pull: base.Pull, values: Array) -> Array:
         """Moving the camera moves the point the other way."""
-        return -view.by_world
+        return -pull.force
 
     def _entry(self, camera: Camera) -> base.Entry:
         return {"pose": {"center": camera.pose.center.tolist()}}
@@ -68,10 +67,10 @@ class Rotation(base.Quantity):
         """Return what turns one camera to the other, both at the time of the first pose."""
         return rotation_to_vector(other.pose.at(camera.pose.time_s).rotation @ camera.pose.rotation.T)
 
-    def derivative(self, view: base.CameraView, values: Array) -> Array:
+    def pulled(self, view: base.CameraView, pull: base.Pull, values: Array) -> Array:
         """d (point in the camera) / d v = -[point]_x turn J_left(v)."""
-        axes = left_jacobians(values[None])[0]
-        return turned(view, axes if view.turns is None else view.turns @ axes)
+        torque = pull.torque if view.turns is None else np.einsum("na,nab->nb", pull.torque, view.turns)
+        return np.asarray(torque @ left_jacobians(values[None])[0])
 
     def _entry(self, camera: Camera) -> base.Entry:
         return {"pose": {"rotation_matrix": camera.pose.rotation.tolist(), "rotation_vector_deg": None}}
@@ -93,9 +92,9 @@ class Velocity(base.Offset):
     on_path = False
     of_the_frame = True
 
-    def derivative(self, view: base.CameraView, values: Array) -> Array:
+    def pulled(self, view: base.CameraView, pull: base.Pull, values: Array) -> Array:
         """The centre moves by the velocity times the time since that of the pose."""
-        return -view.elapsed[:, None, None] * view.by_world
+        return -view.elapsed[:, None] * pull.force
 
     def _entry(self, camera: Camera) -> base.Entry:
         return {"pose": {"velocity": camera.pose.velocity.tolist(), "time_s": camera.pose.time_s}}
@@ -116,11 +115,11 @@ class RotationRate(base.Offset):
     on_path = False
     of_the_frame = True
 
-    def derivative(self, view: base.CameraView, values: Array) -> Array:
+    def pulled(self, view: base.CameraView, pull: base.Pull, values: Array) -> Array:
         """d (point in the camera) / d w = (t - t_0) [point]_x J_left(-(t - t_0) w)."""
         elapsed = view.elapsed[:, None]
         axes = left_jacobians(-elapsed * view.camera.pose.rotation_rate)
-        return turned(view, -elapsed[:, :, None] * axes)
+        return np.asarray(-elapsed * np.einsum("na,nab->nb", pull.torque, axes))
 
     def _entry(self, camera: Camera) -> base.Entry:
         rate = np.degrees(camera.pose.rotation_rate).tolist()

@@ -1,9 +1,7 @@
 """Clock and readout of a camera."""
 
-import numpy as np
-
 from stereophd.core.arrays import Array
-from stereophd.core.calibration.unknowns.quantities.base import RATIO, SECONDS, TIMES, CameraView, Offset
+from stereophd.core.calibration.unknowns.quantities.base import RATIO, SECONDS, TIMES, CameraView, Offset, Pull
 from stereophd.core.settings import LARGEST_TIME_S
 
 
@@ -17,9 +15,9 @@ class ClockOffset(Offset):
     description = "standard deviation of the offset of the clock, s"
     of_the_frame = True
 
-    def derivative(self, view: CameraView, values: Array) -> Array:
+    def pulled(self, view: CameraView, pull: Pull, values: Array) -> Array:
         """A later true time moves the objects on."""
-        return np.asarray(view.by_time[:, :, None])
+        return view.by_time(pull)
 
 
 class ClockRate(Offset):
@@ -32,9 +30,9 @@ class ClockRate(Offset):
     description = "standard deviation of the rate of the clock, seconds per second"
     of_the_frame = True
 
-    def derivative(self, view: CameraView, values: Array) -> Array:
+    def pulled(self, view: CameraView, pull: Pull, values: Array) -> Array:
         """The true time changes by the time in the log."""
-        return np.asarray((view.log_times[:, None] * view.by_time)[:, :, None])
+        return view.log_times[:, None] * view.by_time(pull)
 
 
 class Readout(Offset):
@@ -46,6 +44,6 @@ class Readout(Offset):
     prior, largest_std = "readout_std_s", 1e3
     description = "standard deviation of the readout time of a rolling shutter, s"
 
-    def derivative(self, view: CameraView, values: Array) -> Array:
+    def pulled(self, view: CameraView, pull: Pull, values: Array) -> Array:
         """The time of a detection changes by its row over the height."""
-        return np.asarray((view.rows[:, None] * view.by_time)[:, :, None])
+        return view.rows[:, None] * view.by_time(pull)
