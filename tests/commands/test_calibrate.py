@@ -322,7 +322,7 @@ def test_cameras_that_share_no_time(scene: Path, tmp_path: Path) -> None:
     with pytest.raises(InputError, match="overlap with another in time"):
         calibrate(loaded(scene), log, tmp_path / "out")
     log = cut(scene, tmp_path / "log.parquet", lambda c: c["camera"] == "left")
-    with pytest.raises(InputError, match="camera right, which is unknown, found none"):
+    with pytest.raises(InputError, match="expected detections of camera right, found none"):
         calibrate(loaded(scene), log, tmp_path / "out")
 
 
