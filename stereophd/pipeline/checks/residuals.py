@@ -288,8 +288,8 @@ class CauseFit:
     def is_certain(self, probability: float) -> bool:
         """Whether a part is further from 0 than chance and what is tolerated bring any with this probability.
 
-        By Student's distribution, since the variances are themselves estimated. Nor may all that decides it be looks at
-        pairs of tracks of different objects.
+        By Student's distribution, since the variances are themselves estimated. Nor may all looks that decide it be at
+        tracks of different objects.
         """
         squares = self.parts**2 / (self.variances + TOLERATED**2)
         if self.explained <= 0.0 or squares.max(initial=0.0) < LEAST_SQUARE:
@@ -456,11 +456,10 @@ class Regression:
         # few tracks may happen to agree more than the noise of their detections lets them
         away = others - numbers
         variances = np.maximum((away**2).sum(axis=0) * (groups - 1) / groups, self.noise)
-        # few of many tracks may decide, as those far from the centre do of a lens (R. M. Bell, D. F. McCaffrey, 2002)
-        shares = np.diagonal(products, axis1=1, axis2=2) ** 2
-        deciding, looks = 1.0 / shares.sum(axis=0), 1.0 / (shares / self.looks[:, None]).sum(axis=0)
         # only what exceeds that noise has so few degrees of freedom (B. L. Welch, 1947)
-        freedom = np.maximum(deciding - 1.0, 0.1) / np.maximum(1.0 - self.noise / variances, 1e-3) ** 2
+        freedom = max(groups - 1, 0.1) / np.maximum(1.0 - self.noise / variances, 1e-3) ** 2
+        # few of many tracks may decide, as those far from the centre do of a lens: their effective number (L. Kish, 1965)
+        looks = 1.0 / (np.diagonal(products, axis1=1, axis2=2) ** 2 / self.looks[:, None]).sum(axis=0)
         whole, left = np.append(basis @ numbers, 1.0), self.noise * (1.0 - share)
         lasting = float(whole @ self.lasting[np.ix_([*chosen, -1], [*chosen, -1])] @ whole)
         in_errors = lasting / max(left * self.successive**0.5, 1e-12)
