@@ -458,7 +458,7 @@ class Regression:
         variances = np.maximum((away**2).sum(axis=0) * (groups - 1) / groups, self.noise)
         # only what exceeds that noise has so few degrees of freedom (B. L. Welch, 1947)
         freedom = max(groups - 1, 0.1) / np.maximum(1.0 - self.noise / variances, 1e-3) ** 2
-        # few of many tracks may decide, as those far from the centre do of a lens: their effective number (L. Kish, 1965)
+        # few of many tracks may decide, as those far from the centre do of a lens: their effective number (Kish, 1965)
         looks = 1.0 / (np.diagonal(products, axis1=1, axis2=2) ** 2 / self.looks[:, None]).sum(axis=0)
         whole, left = np.append(basis @ numbers, 1.0), self.noise * (1.0 - share)
         lasting = float(whole @ self.lasting[np.ix_([*chosen, -1], [*chosen, -1])] @ whole)
