@@ -23,7 +23,14 @@ from stereophd.core.geometry.lens import Lens
 from stereophd.core.geometry.pose import rotation_from_vector
 from stereophd.pipeline.checks.finding import CHECK_CAMERAS, DO_NOT_MEET, ERRORS_LAST, LASTING_REMEDY, Finding
 from stereophd.pipeline.checks.geometry.alternatives import posed
-from stereophd.pipeline.checks.geometry.partners import FARTHEST, Partners, partners, track_motion
+from stereophd.pipeline.checks.geometry.partners import (
+    FARTHEST,
+    LEAST_COMMON,
+    MOST_WRONG,
+    Partners,
+    partners,
+    track_motion,
+)
 from stereophd.pipeline.checks.geometry.ray_checks import CHANCE_SCORE
 from stereophd.pipeline.checks.geometry.rays import TOLERANCES, Geometry, signed_distances
 from stereophd.pipeline.checks.geometry.trials import clock_change, shift_remedy
@@ -254,6 +261,7 @@ class CauseFit:
     parts: Array  # (k,): Sizes that fit best of independent parts of the shift, standard deviations of a detection
     variances: Array  # (k,): Of these
     freedom: Array  # (k,): Degrees of freedom of the variances
+    looks: Array  # (k,): How many looks at pairs of tracks, of `LEAST_COMMON` detections each, decide a part
     explained: float  # Of the squared distances, predicted from other tracks
     share: float  # The same over all of them
     left: float  # Mean square of what is left
@@ -280,14 +288,16 @@ class CauseFit:
     def is_certain(self, probability: float) -> bool:
         """Whether a part is further from 0 than chance and what is tolerated bring any with this probability.
 
-        By Student's distribution, since the variances are themselves estimated.
+        By Student's distribution, since the variances are themselves estimated. Nor may all looks that decide it be at
+        tracks of different objects.
         """
         squares = self.parts**2 / (self.variances + TOLERATED**2)
         if self.explained <= 0.0 or squares.max(initial=0.0) < LEAST_SQUARE:
             return False
         from scipy.special import fdtri  # costly to import, and rarely needed
 
-        return bool((squares > fdtri(1, self.freedom, 1.0 - probability / len(self.parts))).any())
+        is_far = squares > fdtri(1, self.freedom, 1.0 - probability / len(self.parts))
+        return bool((is_far & (MOST_WRONG**self.looks < FALSE_ALARMS)).any())
 
 
 def explanations(samples: list[CameraSample], pairs: list[Partners]) -> Iterator[CauseFit]:
@@ -404,6 +414,7 @@ class Regression:
     """Distances and their derivatives, as sums of products over one-camera tracks."""
 
     sums: Array  # (g, 10, 10)
+    looks: Array  # (g,): Detections of each, over those that a pair of tracks needs
     squares: Array  # (9, 9): Mean products of shifts
     noise: float  # Mean square of the distances
     lasting: Array  # (10, 10): Sums of products of successive rows of pairs of tracks: 0 of white noise
@@ -415,12 +426,12 @@ class Regression:
         table = np.concatenate([one.slopes for one in rows])
         tracks = np.concatenate([one.tracks for one in rows])
         order = np.argsort(tracks, kind="stable")
-        _, starts = np.unique(tracks[order], return_index=True)
+        _, starts, counts = np.unique(tracks[order], return_index=True, return_counts=True)
         sums = np.stack([block.T @ block for block in np.split(table[order], starts[1:])])
         squares = np.sum([one.squares for one in rows], axis=0) / len(table)
         lasting = np.sum([one.slopes[one.before].T @ one.slopes[one.following[one.before]] for one in rows], axis=0)
         noise, successive = float((table[:, -1] ** 2).mean()), sum(len(one.before) for one in rows)
-        return Regression(sums, squares, noise, lasting, successive)
+        return Regression(sums, counts / LEAST_COMMON, squares, noise, lasting, successive)
 
     def fit(self, cause: Cause, camera: int | None) -> CauseFit:
         """Fit the numbers of a cause; of several, the combinations that the data determine."""
@@ -447,10 +458,12 @@ class Regression:
         variances = np.maximum((away**2).sum(axis=0) * (groups - 1) / groups, self.noise)
         # only what exceeds that noise has so few degrees of freedom (B. L. Welch, 1947)
         freedom = max(groups - 1, 0.1) / np.maximum(1.0 - self.noise / variances, 1e-3) ** 2
+        # few of many tracks may decide, as those far from the centre do of a lens: their effective number (Kish, 1965)
+        looks = 1.0 / (np.diagonal(products, axis1=1, axis2=2) ** 2 / self.looks[:, None]).sum(axis=0)
         whole, left = np.append(basis @ numbers, 1.0), self.noise * (1.0 - share)
         lasting = float(whole @ self.lasting[np.ix_([*chosen, -1], [*chosen, -1])] @ whole)
         in_errors = lasting / max(left * self.successive**0.5, 1e-12)
         return CauseFit(
-            cause, camera, size * numbers, size**2 * variances, freedom, explained, share, left, whole[:-1],
+            cause, camera, size * numbers, size**2 * variances, freedom, looks, explained, share, left, whole[:-1],
             (lasting / max(float(self.lasting[-1, -1]), 1e-12), in_errors),
         )  # fmt: skip

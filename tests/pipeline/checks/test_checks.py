@@ -1007,6 +1007,24 @@ def test_objects_that_a_detector_reports_twice_are_named(deviations: float, is_n
     assert not named or misleads(next(one for one in found if one.name == "detector.pairs"))
 
 
+def test_frames_of_one_detection_have_none_close_to_another() -> None:
+    """Nor are frames that lie far apart said to have more: detections are asked by their number in their frame."""
+    frames = [Frame(k / RATE, 0, k, np.array([[300.0, 200.0]])) for k in range(100)]
+    assert sample_log(frames, CAMERAS)[0].close_share == 0.0
+
+
+def test_links_by_chance_leave_over_objects_and_no_clutter() -> None:
+    """Forty objects, of which each frame misses a third; set-up 3122021 of the benchmark was warned of."""
+    rng = np.random.default_rng(2)
+    start, speed, size = rng.uniform(0, [799, 599], (40, 2)), rng.normal(0, 18, (40, 2)), np.array([799, 599])
+    frames = []
+    for k in range(15):
+        places = size - np.abs(size - np.abs(start + k * speed))
+        frames.append(Frame(k / RATE, 0, k, places[rng.random(40) < 0.7] + rng.normal(0, 1, (1, 2))))
+    camera = replace(CAMERAS[0], detector=Detector([1.0] * 2, 0.7, 0.4))
+    assert "detector.clutter" not in {one.name for one in check_files(sample_log(frames, (camera,)))}
+
+
 def test_times_that_jitter_are_not_of_another_frame_rate() -> None:
     """Frames 20 ms early or late of 100: the median interval was 3 % off."""
     rng = np.random.default_rng(4)

@@ -402,6 +402,15 @@ def test_one_pair_of_tracks_is_no_evidence() -> None:
     assert not _fit(np.arange(360) // 40, distance, slope).is_certain(FALSE_ALARMS)
 
 
+@pytest.mark.parametrize(("length", "certain"), [(8, False), (40, True)])
+def test_two_short_pairs_of_tracks_of_many_are_no_evidence(length: int, certain: bool) -> None:
+    """Two pairs of other objects far from the centre, eight detections each (set-up 3122030: a pose was warned of)."""
+    tracks = np.repeat(np.arange(12), length)
+    slope, distance = np.where(tracks < 2, 20.0, 1.0), np.where(tracks < 2, 4.0, 0.2)
+    distance = distance + np.random.default_rng(1).normal(size=len(tracks))
+    assert _fit(tracks, distance, slope).is_certain(FALSE_ALARMS / 30) == certain
+
+
 @pytest.mark.parametrize("everywhere", [True, False])
 def test_a_cause_of_several_numbers_predicts_what_it_explains(everywhere: bool) -> None:
     """Two objects that pass each other's epipolar line once are smooth too, but for a while only."""

@@ -199,13 +199,15 @@ def _detector(sample: CameraSample) -> Iterator[Finding]:
         )  # fmt: skip
     # where noise or motion outrun the chains, or chance links them, what they leave over are objects, and what they
     # hold is not one object; what is missed before and after is left over too
-    continued = sample.continued_share or 0.0
-    is_linked = sample.linking[1] <= MOST_BY_CHANCE
+    continued, by_chance = sample.continued_share or 0.0, sample.linking[1]
+    is_linked = by_chance <= MOST_BY_CHANCE
     follows = continued >= LEAST_CONTINUED * detector.p_detect and is_linked
     missed = max(rate - detector.clutter_per_frame, 0.0) * (1.0 - continued) ** 2
     isolated = sample.isolated_per_frame - missed
-    # chains that hold less than half of the detections say nothing of the others: a board that leaps moves them all
-    many = max(LEAST_ISOLATED, ISOLATED_FACTOR * detector.clutter_per_frame, 0.15 * rate) < isolated < 0.5 * rate
+    # chains that hold less than half of the detections say nothing of the others: a board that leaps moves them all;
+    # a link by chance takes the place of one of objects, and leaves over as many
+    least = max(LEAST_ISOLATED, ISOLATED_FACTOR * detector.clutter_per_frame, 0.15 * rate) + by_chance * rate
+    many = least < isolated < 0.5 * rate
     if follows and many:
         yield Finding(
             "detector.clutter", "warning",

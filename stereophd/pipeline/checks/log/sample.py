@@ -196,7 +196,9 @@ class CameraSample:
         """
         reach = CLOSE * min(float(self.camera.detector.sigma.mean()), self.noise_px[2] if self.noise_px else np.inf)
         asked = np.empty(len(self.pixels), dtype=np.bool_)
-        asked[np.lexsort((self.pixels[:, 0], self.frame_of))] = np.arange(len(asked)) % 2 == 0
+        # by their number in the frame, as those of frames that lie far apart
+        numbers = np.arange(len(asked)) - self.first[self.frame_of]
+        asked[np.lexsort((self.pixels[:, 0], self.frame_of))] = numbers % 2 == 0
         shares = [
             float((_nearest(self, step, asked, ~asked)[2] <= reach).sum())
             / max(1, int(asked[self.frame_of < len(self.times) - step].sum()))
