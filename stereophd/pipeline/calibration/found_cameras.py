@@ -17,6 +17,7 @@ from pydantic import BaseModel
 
 from stereophd.config.calibration import BaselineScale, CalibrationConfig, NoScale
 from stereophd.config.loading import LoadedConfig, variant
+from stereophd.config.yaml import parse_override
 from stereophd.core.alignment.frames import moved_camera
 from stereophd.core.calibration.adjustment.recording import Recording, Scans
 from stereophd.core.calibration.annealing.control import World
@@ -32,7 +33,10 @@ from stereophd.core.numerics.random_streams import CAMERA_DISCOVERY
 from stereophd.errors import InputError
 from stereophd.pipeline.calibration.configured_unknowns import calibration_section
 from stereophd.pipeline.calibration.problem import CalibrationProblem, Outcome, pmb_filter
+from stereophd.pipeline.checks.check_log import check_log
+from stereophd.pipeline.checks.finding import warnings_of
 from stereophd.pipeline.control import alignment_report
+from stereophd.pipeline.initial.acceleration import with_estimated_motion
 from stereophd.pipeline.stream import covered, open_stream
 from stereophd.validated import NO_LENGTH
 
@@ -58,12 +62,13 @@ class FoundCameras:
     reason: str  # why nothing was found that is believed; empty if something was
     has_scale: bool
     intervals: dict[str, float]  # median one of each camera, s; 0 with fewer than two frames
+    estimated: tuple[str, ...] = ()  # keys of the settings that the tracks contradicted
 
     def report(self) -> dict[str, Any]:
         """Return the search's part of ``report.json``."""
         out: dict[str, Any] = {"cameras": list(self.names), "reason": self.reason}
         if not self.has_scale:
-            out["unit_of_length"] = UNIT
+            out |= {"unit_of_length": UNIT, "estimated_settings": list(self.estimated)}
         if self.rig is None:
             return out
         names = [camera.name for camera in self.rig.cameras]
@@ -165,7 +170,19 @@ def with_found_cameras(
     multi_filter = pmb_filter(placed, rig.cameras)
     space = multi_filter.rig.packed[reference]
     expected = disparity_scale(space) / multi_filter.settings.birth.disparity_moments(space)[0]
-    return with_unit(placed, NO_LENGTH, rig.depth(reference) / expected), found
+    placed = with_unit(placed, NO_LENGTH, rig.depth(reference) / expected)
+    contradicted = [
+        parse_override(finding.change)
+        for finding in warnings_of(check_log(placed, log_path, of_rows=False, cameras=rig.cameras))
+        if finding.name.startswith("settings.") and finding.change is not None
+    ]
+    if not contradicted:
+        return placed, found
+    # lengths in a unit that nobody knows are guesses: they yield to what the tracks show with these cameras
+    limit.begin("settings that the tracks contradict are estimated")
+    changes = {".".join(map(str, path)): value.data for path, value in contradicted}
+    placed, _ = with_estimated_motion(variant(placed, [("what the tracks show", changes)]), log_path)
+    return placed, replace(found, estimated=tuple(changes))
 
 
 def refuse_search(loaded: LoadedConfig) -> CalibrationConfig:

@@ -43,9 +43,9 @@ RIGHT_FIVE, LEAST_FIVE = 6.0, 4000
 SCORED, MOST_OFFSETS = 3, 1600
 # Hypotheses that are kept at offsets within some steps of one another, and the cosine of E from which two are alike.
 MOST_NEAR, NEAR, ALIKE = 4, 3, 0.996
-# Hypotheses of an offset that are refined, those of the greatest scores; the tolerances, px, of their steps, and the
-# turn, rad, that a step is to stay below.
-MOST_REFINED, REFINED_TOLERANCES, LARGEST_TURN = 64, (20.0, 20.0, 10.0, 10.0, 5.0), 0.3
+# One of so many hypotheses of an offset is refined, those of the greatest scores: steps take about as long as scores of
+# all. The tolerances, px, of the steps, and the turn, rad, that a step is to stay below.
+REFINED_OF, REFINED_TOLERANCES, LARGEST_TURN = 9, (20.0, 20.0, 10.0, 10.0, 5.0), 0.3
 # Derivatives (3, 3, 3) of a small turn about each axis.
 GENERATORS = cross_matrices(np.eye(3))
 # Share of the shorter record of tracks that must overlap at an offset.
@@ -297,7 +297,8 @@ class PairSearch:
     def _best(self, essential: Array, shift: int) -> tuple[Array, Array]:
         """Refine the essential matrices (h, 3, 3) of the greatest scores at an offset: the best, and their scores."""
         at = self.compared(shift)
-        essential = essential[np.argsort(-at.scores(essential, TOLERANCE), kind="stable")[:MOST_REFINED]]
+        most = max(len(essential) // REFINED_OF, MOST_NEAR)
+        essential = essential[np.argsort(-at.scores(essential, TOLERANCE), kind="stable")[:most]]
         for tolerance in REFINED_TOLERANCES:
             essential = at.refined(essential, tolerance)
         scores = at.scores(essential, REFINED_TOLERANCES[-1])
