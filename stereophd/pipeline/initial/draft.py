@@ -97,7 +97,7 @@ def draft_from_log(draft: Draft, log_path: Path | str) -> Draft:
     samples = [sample.with_camera(camera) for sample, camera in zip(samples, cameras, strict=True)]
     # everything else follows from rays; tracks estimate the detectors once there are any
     draft = _with_cameras(draft, cameras, unknown, estimate=draft.must_be_calibrated)
-    return draft if not is_placed else draft.with_choices(_rough(draft, samples, priors) or {})
+    return draft.with_choices(_rough(draft, samples, priors) or {})
 
 
 def _with_tracks(
@@ -290,22 +290,28 @@ def _with_known_detectors(draft: Draft, samples: list[CameraSample]) -> tuple[Dr
 
 def _rough(draft: Draft, samples: list[CameraSample], priors: Mapping[str, NoisePrior]) -> dict[str, Choice] | None:
     """Return settings from rays and displacements, wide enough to track with; None where cameras share nothing."""
-    scene = None
+    scene, usual = None, draft.choices["filter.birth.depth_range"].value
     if not draft.must_be_calibrated:
         scene = measure_scene(measure(samples, expected_depths(None, samples)), MEETING_SCORE)
-    if scene is not None and scene.depths is not None and scene.depths[0] > 0.0:
-        near, middle, far = scene.depths.tolist()
-        why = "from the depths at which rays of different cameras meet"
-    else:
-        shared = shared_depths([sample.camera for sample in samples])
-        if shared is None:
+    if draft.is_unplaced:
+        # turns show at what ratio to the depths objects move, and nothing shows the depths
+        if not isinstance(usual, list):
             return None
-        near, middle, far = shared.tolist()
-        why = "not from the log, in which too few rays meet: the depths that two cameras have in view"
-    choices = {
-        "filter.birth.depth_range": Choice([rounded(0.5 * near), rounded(2.0 * far)], why),
-        "evaluation.cutoff": Choice(rounded(CUTOFF * middle, 1), "a tenth of the middle depth"),
-    }
+        middle, choices = 2.0 / sum(1.0 / depth for depth in usual), dict[str, Choice]()  # of the mean disparity
+    else:
+        if scene is not None and scene.depths is not None and scene.depths[0] > 0.0:
+            near, middle, far = scene.depths.tolist()
+            why = "from the depths at which rays of different cameras meet"
+        else:
+            shared = shared_depths([sample.camera for sample in samples])
+            if shared is None:
+                return None
+            near, middle, far = shared.tolist()
+            why = "not from the log, in which too few rays meet: the depths that two cameras have in view"
+        choices = {
+            "filter.birth.depth_range": Choice([rounded(0.5 * near), rounded(2.0 * far)], why),
+            "evaluation.cutoff": Choice(rounded(CUTOFF * middle, 1), "a tenth of the middle depth"),
+        }
     spread = middle * usual_turn(samples, priors)
     fastest, tracks = SPREADS * spread, "from displacements between frames at these depths"
     if scene is not None and scene.speed is not None:
