@@ -237,6 +237,14 @@ def test_noise_follows_from_one_camera_tracks_where_poses_are_unknown(scene: Pat
     # misses and false detections are the usual ones, until there are tracks
     loaded = load_config(tmp_path / "study" / "config.yaml")
     assert loaded.estimated_cameras == list(loaded.cameras)
+    # nothing shows the depths, but speeds go with those that are usual
+    choices = {row["key"]: row for row in report["values"]}
+    assert "not measured" in choices["filter.birth.depth_range"]["source"]
+    assert "from displacements" in choices["motion.acceleration_std"]["source"]
+    near, far = choices["filter.birth.depth_range"]["value"]
+    middle = 2.0 / (1.0 / near + 1.0 / far)
+    # with known cameras 0.05 of the depth per second is written
+    assert 0.01 * middle < choices["filter.birth.velocity_std"]["value"] < 0.3 * middle
 
 
 def test_what_the_search_for_cameras_does_not_do_is_refused_before_anything_is_written(

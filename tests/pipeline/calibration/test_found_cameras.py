@@ -134,6 +134,22 @@ def test_cameras_are_found_in_the_unit_of_their_distance(tmp_path: Path, log: Pa
     assert 6.0 / 40.0 < loaded.config.motion.max_speed < 2.0 * 6.0 / 40.0
 
 
+def test_settings_that_the_tracks_contradict_yield_where_no_length_is_known(tmp_path: Path, log: Path) -> None:
+    """Metres guessed for a scene of another size made calibrations four times slower, with five times the tracks."""
+    few = "calibration.annealed.max_events=20"
+    _, found = with_found_cameras(stated(tmp_path, few), log)
+    assert found is not None
+    assert found.report()["estimated_settings"] == []
+    wrong = stated(tmp_path, few, "filter.birth.velocity_std=12", "motion.max_speed=60", "motion.acceleration_std=1")
+    loaded, found = with_found_cameras(wrong, log)
+    assert found is not None
+    assert set(found.report()["estimated_settings"]) == {"filter.birth.velocity_std", "motion.acceleration_std"}
+    assert loaded.config.filter is not None
+    # true: 0.0117 baselines per second and axis, times 1.5, and objects that hardly accelerate
+    assert 0.01 < np.max(loaded.config.filter.birth.velocity_std) < 0.1
+    assert np.max(loaded.config.motion.acceleration_std) < 1e-3
+
+
 def test_a_known_distance_gives_the_scale(tmp_path: Path, log: Path) -> None:
     scale = "calibration.scale={kind: baseline, cameras: [left, right], distance: 40.0, std: 0.1}"
     loaded, found = with_found_cameras(stated(tmp_path, scale), log)

@@ -39,7 +39,10 @@ def doubts_of_tracks(found: SlopeTracks, names: Sequence[str]) -> str | None:
             f"nothing moves before {', '.join(still)} (by 12 standard deviations of a detection, seen in half of the "
             "frames): objects that stand still show no cameras; record objects that move through the whole image"
         )
-    return f"no object can be followed before {', '.join(still)}: record fewer false detections, or more frames"
+    return (
+        f"no object can be followed before {', '.join(still)}: state speeds and accelerations (motion, filter.birth) that "
+        "fit the depths, or record fewer false detections, or more frames"
+    )
 
 
 def sentences(doubts: Sequence[Doubt]) -> tuple[str, ...]:
