@@ -40,8 +40,8 @@ def doubts_of_tracks(found: SlopeTracks, names: Sequence[str]) -> str | None:
             "frames): objects that stand still show no cameras; record objects that move through the whole image"
         )
     return (
-        f"no object can be followed before {', '.join(still)}: state speeds and accelerations (motion, filter.birth) that "
-        "fit the depths, or record fewer false detections, or more frames"
+        f"no object can be followed before {', '.join(still)}: state speeds and accelerations (motion, filter.birth) "
+        "that fit the depths, or record fewer false detections, or more frames"
     )
 
 
