@@ -184,13 +184,18 @@ def _depths(config: Config, scene: MeasuredScene, samples: list[CameraSample], u
     )
     where = f"between {number(scene.depths[0])} and {number(scene.depths[2])} {unit}"
     if covered < LEAST_BORN:
+        near, far = 0.7 * scene.depths[0], 1.5 * scene.depths[2]
+        key, change = "depth_range", f"[{near:.3g}, {far:.3g}]"
+        if not (config.filter is None or isinstance(config.filter, SingleSettings)) and config.filter.birth.disparity:
+            first, last = (samples[0].camera.fx * config.disparity.baseline / depth for depth in (near, far))
+            key = "disparity"
+            change = f"{{mean_px: {0.5 * (first + last):.3g}, std_px: {0.25 * (first - last):.3g}}}"
         yield Finding(
             "settings.depth_range", "warning",
             f"rays meet at depths {where}, but filter.birth covers {number(low)} to {number(high)} {unit}: it seems "
             "to be in another unit, or the centres of the cameras are",
             f"{low:.4g} to {high:.4g}", f"{scene.depths[0]:.4g} to {scene.depths[2]:.4g}", None,
-            "set filter.birth.depth_range to these depths and some more", "depth_range",
-            f"filter.birth.depth_range=[{0.7 * scene.depths[0]:.3g}, {1.5 * scene.depths[2]:.3g}]",
+            f"set filter.birth.{key} to these depths and some more", "depth_range", f"filter.birth.{key}={change}",
         )  # fmt: skip
     else:
         centers = np.array([sample.camera.pose.center for sample in samples])

@@ -10,8 +10,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import yaml
 
-from stereophd.config.loading import load_config, make_config
+from stereophd.config.loading import load_config, make_config, variant
+from stereophd.config.yaml import parse_override
 from stereophd.core.geometry.camera import Camera, Clock, Detector
 from stereophd.core.geometry.lens import Lens
 from stereophd.core.geometry.pose import Pose, rotation_from_vector
@@ -396,6 +398,20 @@ def test_what_comes_to_rest_in_the_middle_of_the_image_shows_no_acceleration() -
     speed = measure_scene(measure(sample_log(frames, CAMERAS), DEPTHS)).speed
     assert speed is not None
     assert speed[3] == 0.0
+
+
+@pytest.mark.parametrize("stated", ["{depth_range: [300, 900]}", "{disparity: {mean_px: 1.0, std_px: 0.2}}"])
+def test_births_that_are_proposed_are_stated_as_they_were(samples: list[CameraSample], stated: str) -> None:
+    """A range beside a disparity is refused, so that the change that was proposed could not be made."""
+    birth = {"velocity_std": 1.0, "per_s": 1.0, **yaml.safe_load(stated)}
+    loaded = make_config({"filter": {"kind": "pmb", "birth": birth}, "motion": {"acceleration_std": 1.0}})
+    scene = measure_scene(measure(samples, DEPTHS))
+    found = next(iter(check_settings(loaded.config, scene, samples, True)))
+    assert found.change is not None
+    assert found.change.startswith(f"filter.birth.{next(iter(yaml.safe_load(stated)))}=")
+    path, value = parse_override(found.change)
+    changed = variant(loaded, [("proposed", {".".join(map(str, path)): value.data})])
+    assert next(iter(check_settings(changed.config, scene, samples, True))).status == "ok"
 
 
 def test_births_are_asked_where_objects_begin(samples: list[CameraSample]) -> None:

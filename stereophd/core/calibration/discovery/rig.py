@@ -213,7 +213,8 @@ def _link(
         return sum(option.fit.gain_in_front for two, option in group.items() if but.get(two) is not option)
 
     groups = [option.group(options) for option in options]
-    best = max(groups, key=lambda group: gain(group, {}))
+    # of equal groups one about an optimum that has points in front of both cameras
+    best = max(groups, key=lambda group: (gain(group, {}), next(iter(group.values())).fit.front > 0.0))
     first = next(iter(best.values()))
     rest = [option for option in options if option not in best.values()]
     moved = [option for option in rest if option.agrees(first)]

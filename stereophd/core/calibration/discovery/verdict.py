@@ -103,7 +103,7 @@ def _second_optimum(pair: Link, two: str, clock_is_stated: bool) -> Doubt:
     away, remedy = f"turned by {np.rad2deg(turn):.0f} degrees", "record objects that speed up and turn"
     if not clock_is_stated:
         away, remedy = f"{away}, {later:+.2f} s away", f"{remedy}, or state the clock"
-    return f"another pose of {two} explains {100.0 * other / gain:.0f} % as much, {away}", remedy
+    return f"another pose of {two} explains {100.0 * other / max(gain, 1e-9):.0f} % as much, {away}", remedy
 
 
 def _is_plane(fit: PairFit) -> bool:

@@ -97,6 +97,16 @@ def test_a_pair_whose_depths_are_wrong_speaks_for_its_turn_and_clock() -> None:
     assert (pair.cameras, pair.agreeing, pair.opposed) == ((1, 2), 2, 0)
 
 
+def test_optima_without_points_in_front_gain_nothing_beside_one_that_both_agree_with() -> None:
+    """The group about such an optimum was the first of two equal ones: 0 of 0 nats were compared (a ZeroDivisionError)."""
+    nothing = (optimum(0.3, 20.0, 5.0, front=0.0, std=0.5), optimum(1.5, 15.0, 5.0, front=0.0, std=0.8))
+    results = {(0, 2): PairResult(nothing, 0.1), (1, 2): PairResult((optimum(0.5, 40.0, 3.0),), 0.1)}
+    doubts, pair, _ = joined(results)
+    assert not doubts
+    assert (pair.cameras, pair.gains) == ((1, 2), (40.0, 0.0))
+    assert "explains 0 % as much" in doubts_of_pair(replace(pair, gains=(0.0, 0.0)), NAMES)[0][0]
+
+
 def test_a_clock_that_differs_is_another_pose() -> None:
     results = {
         (0, 2): PairResult((optimum(0.8, 20.0, 5.0),), 0.1),
