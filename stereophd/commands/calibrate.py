@@ -62,7 +62,7 @@ FILES = (CAMERAS_FILE, POSTERIOR_FILE, HISTORY_FILE, TRACKS_FILE, SCANS_FILE, AS
 ACCEPTED = {None: (DETERMINED, PARTLY, UNDETERMINED), "partly": (DETERMINED, PARTLY), "determined": (DETERMINED,)}
 
 NOISE_NOTE = f"sigma_px is what the data show where what was stated is wrong by more than a factor of {SAID_FACTOR}."
-# Checks that need the calibrated cameras; the checks of the log alone come first. The calibration has found another
+# Checks that need the calibrated cameras; the checks of the log alone come first. Method annealed has found another
 # acceleration than is stated by itself (`calibration.motion`), and takes no `estimate`, which is that check's remedy.
 WITH_CAMERAS, BY_ITSELF = ("geometry.", "settings."), "settings.acceleration_std"
 
@@ -219,7 +219,8 @@ def _track(
     run = TrackingRun(loaded, 1, multi_filter, multi_filter.motion, cameras, report)
     summary = run.write(run.records(stream), out, metadata, uncertainty=uncertainty)
     checked = check_log(loaded, log_path, of_rows=False, cameras=cameras)
-    findings = [found for found in checked if found.name.startswith(WITH_CAMERAS) and found.name != BY_ITSELF]
+    known = BY_ITSELF if calibration_section(loaded).method == "annealed" else ""
+    findings = [found for found in checked if found.name.startswith(WITH_CAMERAS) and found.name != known]
     noise = check_noise(summary, cameras, stream.has_noise, checked)
     losses = check_losses(summary, stream.counts)
     return summary, (*findings, *check_tracking(summary, stream.counts, cameras), *noise, *losses)

@@ -15,6 +15,7 @@ import pyarrow.parquet as pq
 import pytest
 import yaml
 
+from stereophd.commands import calibrate as calibrating
 from stereophd.commands.batches import calibrate_logs
 from stereophd.commands.calibrate import calibrate as calibrate_on_all_cores
 from stereophd.commands.evaluate_cameras import evaluate_calibration
@@ -23,6 +24,7 @@ from stereophd.config.loading import LoadedConfig, load_config
 from stereophd.core.calibration.adjustment import marginal
 from stereophd.errors import GateError, InputError
 from stereophd.pipeline.calibration.problem import read_problem
+from stereophd.pipeline.checks.finding import Finding
 from stereophd.report.summaries import summary_text
 
 CONFIG = Path(__file__).resolve().parents[2] / "configs" / "paper" / "calibration.yaml"
@@ -346,6 +348,20 @@ def test_clutter_alone_says_nothing(scene: Path, tmp_path: Path, caplog: pytest.
     assert "none of 2 starts" in report["reason"]
     assert "a pose that is far off needs wider priors, or `pose: unknown`" in report["reason"]
     assert {path.name for path in (tmp_path / "out").iterdir()} == {"report.json"}
+
+
+@pytest.mark.parametrize("method", ["annealed", "sequential"])
+def test_an_acceleration_is_warned_of_where_none_was_estimated(
+    scene: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, method: str
+) -> None:
+    warned = Finding("settings.acceleration_std", "warning", "it is too small")
+    monkeypatch.setattr(calibrating, "check_log", lambda *_, alone=False, **__: () if alone else (warned,))
+    monkeypatch.setattr(calibrating, "UNDETERMINED", "")  # so few particles determine nothing: tracks are made anyhow
+    small = "calibration.sequential={moves: none, particles: 12, likelihood: phd}"
+    given = loaded(scene, (*QUICK, *ONE_START, f"calibration.method={method}", small))
+    report = calibrate(given, scene / "detections.parquet", tmp_path / "out", plots=False)
+    assert report["tracking"]
+    assert ("settings.acceleration_std" in {one["name"] for one in report["checks"]}) == (method == "sequential")
 
 
 def test_an_optimum_that_was_not_found_is_not_determined(

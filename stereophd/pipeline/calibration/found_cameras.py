@@ -171,6 +171,8 @@ def with_found_cameras(
     space = multi_filter.rig.packed[reference]
     expected = disparity_scale(space) / multi_filter.settings.birth.disparity_moments(space)[0]
     placed = with_unit(placed, NO_LENGTH, rig.depth(reference) / expected)
+    if not limit.begin("settings are compared with what the tracks show"):
+        return placed, found
     contradicted = [
         parse_override(finding.change)
         for finding in warnings_of(check_log(placed, log_path, of_rows=False, cameras=rig.cameras))
@@ -179,7 +181,6 @@ def with_found_cameras(
     if not contradicted:
         return placed, found
     # lengths in a unit that nobody knows are guesses: they yield to what the tracks show with these cameras
-    limit.begin("settings that the tracks contradict are estimated")
     changes = {".".join(map(str, path)): value.data for path, value in contradicted}
     placed, _ = with_estimated_motion(variant(placed, [("what the tracks show", changes)]), log_path)
     return placed, replace(found, estimated=tuple(changes))

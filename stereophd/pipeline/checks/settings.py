@@ -264,14 +264,17 @@ def _speeds(config: Config, scene: MeasuredScene, complete: bool) -> Iterator[Fi
     acceleration = getattr(motion, "acceleration_std", None)
     if acceleration in (None, ESTIMATE):
         return
-    most = float(np.max(acceleration))
+    is_static = getattr(motion, "model", None) == "static"  # its acceleration is without effect, and not estimated
+    most = 0.0 if is_static else float(np.max(acceleration))
     is_too_large = complete and most > SMALLER * change
     if is_too_large or least > LARGER * most:
         size, why = (f"about {number(change)}", "large") if is_too_large else (f"at least {number(least)}", "small")
+        found = f"motion.acceleration_std is {most:g}: it is too {why}, or in another unit"
         yield Finding(
             "settings.acceleration_std", "warning",
-            f"the velocity of the objects changes by {size} {unit}/s per axis in a second, but motion.acceleration_std "
-            f"is {most:g}: it is too {why}, or in another unit",
-            most, round(change, 6), None, "let track estimate it (motion.acceleration_std: estimate)",
-            "acceleration_std", "motion.acceleration_std=estimate",
+            f"the velocity of the objects changes by {size} {unit}/s per axis in a second, but "
+            f"{'motion.model is static' if is_static else found}", most, round(change, 6), None,
+            "state a motion.model of objects that move" if is_static
+            else "let track estimate it (motion.acceleration_std: estimate)",
+            "acceleration_std", None if is_static else "motion.acceleration_std=estimate",
         )  # fmt: skip

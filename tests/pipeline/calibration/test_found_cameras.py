@@ -11,6 +11,7 @@ import yaml
 
 from stereophd.config.loading import LoadedConfig, load_config
 from stereophd.core.calibration.discovery.rig import FoundRig, Spread
+from stereophd.core.calibration.time_limit import TimeLimit
 from stereophd.errors import InputError
 from stereophd.pipeline.calibration import found_cameras
 from stereophd.pipeline.calibration.found_cameras import FoundCameras, with_found_cameras
@@ -148,6 +149,20 @@ def test_settings_that_the_tracks_contradict_yield_where_no_length_is_known(tmp_
     # true: 0.0117 baselines per second and axis, times 1.5, and objects that hardly accelerate
     assert 0.01 < np.max(loaded.config.filter.birth.velocity_std) < 0.1
     assert np.max(loaded.config.motion.acceleration_std) < 1e-3
+
+
+def test_settings_are_left_where_the_time_is_over(tmp_path: Path, log: Path) -> None:
+    """The filter ran for each acceleration that was tried, however little time was left (`--time`)."""
+
+    class Short(TimeLimit):
+        def begin(self, stage: str) -> bool:
+            return stage != "settings are compared with what the tracks show"
+
+    wrong = stated(tmp_path, "calibration.annealed.max_events=20", "filter.birth.velocity_std=12")
+    _, found = with_found_cameras(wrong, log, Short())
+    assert found is not None
+    assert not found.reason
+    assert not found.estimated
 
 
 def test_a_known_distance_gives_the_scale(tmp_path: Path, log: Path) -> None:

@@ -368,6 +368,17 @@ def test_an_acceleration_in_another_unit_is_named(
     assert [one.cause for one in found if one.status == "warning"] == ["acceleration_std"] * warned
 
 
+def test_objects_that_move_contradict_a_static_model(samples: list[CameraSample]) -> None:
+    """It takes no `estimate`, which was proposed: `calibrate`, which uses what is proposed, ended with an error."""
+    birth = {"depth_range": DEPTHS, "velocity_std": 1.0, "per_s": 1.0}
+    loaded = make_config(
+        {"filter": {"kind": "pmb", "birth": birth}, "motion": {"model": "static", "acceleration_std": 5.0}}
+    )
+    (found,) = warnings_of(tuple(check_settings(loaded.config, measure_scene(measure(samples, DEPTHS)), samples, True)))
+    assert found.change is None
+    assert "motion.model is static" in found.message
+
+
 @pytest.mark.parametrize(("turn", "warned"), [(0.0, False), (0.4, True)])
 def test_no_acceleration_is_right_where_objects_move_straight_on(turn: float, warned: bool) -> None:
     """They come nearer to a lens that bends, so that their images are neither straight nor even."""

@@ -98,7 +98,7 @@ def test_a_pair_whose_depths_are_wrong_speaks_for_its_turn_and_clock() -> None:
 
 
 def test_optima_without_points_in_front_gain_nothing_beside_one_that_both_agree_with() -> None:
-    """The group about such an optimum was the first of two equal ones: 0 of 0 nats were compared (a ZeroDivisionError)."""
+    """The group about such an optimum was the first of two equal ones: a ZeroDivisionError ended the command."""
     nothing = (optimum(0.3, 20.0, 5.0, front=0.0, std=0.5), optimum(1.5, 15.0, 5.0, front=0.0, std=0.8))
     results = {(0, 2): PairResult(nothing, 0.1), (1, 2): PairResult((optimum(0.5, 40.0, 3.0),), 0.1)}
     doubts, pair, _ = joined(results)
