@@ -75,9 +75,10 @@ def _files_of(folder: Path, recording: ForeignRecording) -> list[Path]:
     files = [path for place in places for path in sorted(place.glob(POINT_FILES)) if path.is_file()]
     tables = [path for path in files if _column(path, U, None) is not None]
     if not tables:
-        # a table of points whose columns have other names is not left out, unlike one of points in space
+        # a table of points whose columns have other names is not left out; those of points in space may have any
         for path in files:
-            _column(path, (*U, *IN_SPACE["x"]), U[0])
+            if not path.name.startswith("xyz"):
+                _column(path, U, U[0])
         if not cameras:
             raise InputError(
                 f"{folder}: expected {' or '.join(CAMERA_FILES)}, or points ({POINT_FILES}) there or in "

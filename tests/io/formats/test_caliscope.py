@@ -110,6 +110,15 @@ def test_points_whose_columns_have_other_names_are_not_left_out(tmp_path: Path, 
         imported("caliscope", tmp_path)
 
 
+def test_points_in_space_with_a_column_for_each_keypoint_are_left_out(tmp_path: Path, imported: Import) -> None:
+    """Caliscope writes these too; a session with them and cameras alone was refused for their columns."""
+    write_session(tmp_path, 1)
+    (tmp_path / "xy.csv").unlink()
+    (tmp_path / "xyz_POSE_labelled.csv").write_text("sync_index,nose_x,nose_y,nose_z\n5,1,2,3\n")
+    report, _ = imported("caliscope", tmp_path)
+    assert any("cameras only" in note for note in report["assumed"])
+
+
 def test_a_word_among_the_numbers_is_refused_by_its_column(tmp_path: Path, imported: Import) -> None:
     write_session(tmp_path, 1)
     points = tmp_path / "xy.csv"
