@@ -56,8 +56,10 @@ class CameraSums:
     missed_twice: float = 0.0
     # Events still to be asked: times, and of tracks ids, positions, claims, and detections before by any camera.
     placed: list[tuple[float, Integers, Array, Array, Integers]] = field(default_factory=list)
-    # The tracks in view at the last event of the last batch, and its misses.
-    known: tuple[Integers, Array] = field(default_factory=lambda: (np.empty(0, dtype=np.int64), np.empty(0)))
+    # Of the events before, in which no later detection decides yet what counts: tracks, misses, detections before.
+    undecided: tuple[Integers, Array, Integers] = field(
+        default_factory=lambda: (np.empty(0, dtype=np.int64), np.empty(0), np.empty(0, dtype=np.int64))
+    )
 
     def expect(
         self, before: Reported, record: Record, camera: Camera, detections: Mapping[int, Mapping[str, int]]
@@ -85,19 +87,18 @@ class CameraSums:
             claims = np.concatenate(claimed)[is_seen]
             self.placed = []
             seen, before = np.concatenate(ids)[is_seen], np.concatenate(counts)[is_seen]
-            before = np.append(np.zeros_like(self.known[0]), before)
-            tracks, misses = np.append(self.known[0], seen), np.append(self.known[1], 1.0 - claims)
+            tracks, misses, before = map(np.append, self.undecided, (seen, 1.0 - claims, before))
             order = np.argsort(tracks, kind="stable")
             tracks, misses, before = tracks[order], misses[order], before[order]
-            goes_on = np.append(tracks[1:] == tracks[:-1], False)[: len(tracks)]
             last = before[np.searchsorted(tracks, tracks, side="right") - 1]
-            first = np.flatnonzero(goes_on)
-            first = first[before[first + 1] < last[first]]
+            goes_on = np.append(tracks[1:] == tracks[:-1], False)[: len(tracks)]
+            counts_now = goes_on & (np.append(before[1:], 0)[: len(tracks)] < last)
+            first = np.flatnonzero(counts_now)
             self.in_view += len(first)
             self.missed += float(misses[first].sum())
             self.missed_twice += float((misses[first] * misses[first + 1]).sum())
-            is_last = ~goes_on & np.isin(tracks, seen)  # others have gone
-            self.known = tracks[is_last], misses[is_last]
+            is_open = ~counts_now & np.isin(tracks, seen)  # others have gone
+            self.undecided = tracks[is_open], misses[is_open], before[is_open]
 
     def add(self, record: Record, sightings: Associated, camera: Camera) -> None:
         """Take in detections of this camera that tracks claim; those of the record's event have residuals."""

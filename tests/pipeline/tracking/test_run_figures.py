@@ -98,6 +98,25 @@ def test_misses_of_a_track_that_no_camera_detects_any_more_are_not_asked(
     assert report["missed_again"] == pytest.approx(again, abs=0.07)
 
 
+def test_misses_do_not_depend_on_how_many_events_are_asked_together() -> None:
+    """Of 300 objects, seven events were: misses of those that were hidden for 20 did not count (0.39 for 0.81)."""
+    rng, camera, reports = np.random.default_rng(3), build_camera("left", (0.0, 0.0, -5.0)), []
+    tracks, events = np.arange(5), np.arange(200)[:, None]
+    claims = ((rng.random((200, 5)) < 0.9) & ((events + 7 * tracks) % 60 >= 20)).astype(float)
+    before = np.cumsum(claims, axis=0).astype(int) - claims.astype(int)
+    for together in (200, 7, 1):
+        sums = CameraSums()
+        for event in range(200):
+            sums.placed.append((0.1 * event, tracks, np.zeros((5, 3)), claims[event], before[event]))
+            if event % together == 0:
+                sums._look(camera)
+        reports.append(sums.report(camera))
+    assert reports[0]["missed_again"] == pytest.approx(0.8, abs=0.05)
+    for report in reports[1:]:
+        assert report["in_view"] == reports[0]["in_view"]
+        assert report["missed_again"] == pytest.approx(reports[0]["missed_again"])
+
+
 @pytest.mark.usefixtures("without_checks")  # what is warned of is found after the run
 @pytest.mark.parametrize("kind", ["pmb", "phd"])
 @pytest.mark.parametrize(("true", "stated"), [(0.5, 0.95), (0.95, 0.6)])
