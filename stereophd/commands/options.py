@@ -3,8 +3,6 @@
 Nothing heavy may be imported here: the command line makes its help from these classes.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Literal

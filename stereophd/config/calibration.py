@@ -1,7 +1,5 @@
 """The ``calibration`` section of a configuration: what is unknown, how well, and how it is found."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 
@@ -35,7 +33,7 @@ class PriorBase(Model):
     """Gaussian prior of what is unknown of one camera, about what the configuration or a file of cameras gives."""
 
     @model_validator(mode="after")
-    def _something_unknown(self) -> PriorBase:
+    def _something_unknown(self) -> Self:
         stds = list(_numbers(self.model_dump()))
         if narrow := [std for std in stds if 0.0 < std < NARROWEST]:
             raise ValueError(f"expected 0 or standard deviations of at least {NARROWEST:g}, found {narrow[0]:g}")
@@ -126,7 +124,7 @@ class ControlConfig(Model):
     )
 
     @model_validator(mode="after")
-    def _is_one(self) -> ControlConfig:
+    def _is_one(self) -> Self:
         if (self.track is None) == (self.points is None):
             raise ValueError("expected track or points")
         return self
@@ -181,7 +179,7 @@ class CalibrationConfig(Model):
     smc: TemperedSettings = parameter("settings of posterior smc", default_factory=TemperedSettings)
 
     @model_validator(mode="after")
-    def _reference_is_known(self) -> CalibrationConfig:
+    def _reference_is_known(self) -> Self:
         if self.control is not None and (self.method != "annealed" or self.posterior != "laplace"):
             raise ValueError("control: expected method annealed and posterior laplace, found others")
         names = [name for group in self.shared for name in group]

@@ -4,13 +4,11 @@ Scalars follow the YAML 1.2 core schema (``1e-6`` is a number, ``yes`` and ``202
 keys are taken as written, and a key that occurs twice is an error.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import yaml
 
@@ -113,7 +111,7 @@ class Tree:
                 return self.places[path[:length]]
         raise KeyError(path)
 
-    def graft(self, path: KeyPath, other: Tree, key: KeyPath = ()) -> None:
+    def graft(self, path: KeyPath, other: Self, key: KeyPath = ()) -> None:
         """Put the value at `key` of another tree at `path` of this one, with its places.
 
         Raises `TypeError` where the value above `path` is not a mapping or a list.

@@ -6,11 +6,10 @@ tracks for detections, is decided by what the detections gain: `WholeRun.gains` 
 with the motion integrated out, for many. A proposal is accepted if it explains them better by more than `LEAST_GAIN`.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Self
 
 import numpy as np
 
@@ -207,20 +206,20 @@ class Chain:
         first, last = np.searchsorted(self.trajectory.events, [first_event, last_event + 1])
         return max(int(first) - reach, 0), min(int(last) + reach, len(self.trajectory.events))
 
-    def part(self, first: int, last: int) -> Chain:
+    def part(self, first: int, last: int) -> Self:
         """Return the track at the places from first to last (excluded)."""
         return replace(
             self, trajectory=self.trajectory.take(slice(first, last)), detections=self.detections[first:last]
         )
 
-    def with_part(self, part: Chain, first: int) -> Chain:
+    def with_part(self, part: Self, first: int) -> Self:
         """Return the track with the states of a part of it that begins at a place."""
         whole, places = self.trajectory, slice(first, first + len(part.detections))
         states, covariances = whole.states.copy(), whole.covariances.copy()
         states[places], covariances[places] = part.trajectory.states, part.trajectory.covariances
         return replace(self, trajectory=replace(whole, states=states, covariances=covariances))
 
-    def smoothed(self) -> Chain:
+    def smoothed(self) -> Self:
         """Return the track smoothed from its detections, unless the passes lead nowhere."""
         chain = self
         for _ in range(MOST_PASSES):

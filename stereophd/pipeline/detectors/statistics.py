@@ -34,10 +34,9 @@ of successive frames agree, errors last: of the pose, the clock or the lens, or 
 white noise describes them; estimated as if they were, tracks become overconfident.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from typing import Self
 
 import numpy as np
 
@@ -132,7 +131,7 @@ class DetectorSums:
         correlation = self.correlation
         return correlation is not None and bool(np.abs(correlation).max() - 2.0 / self.successions**0.5 > LASTING)
 
-    def with_noise_of(self, others: Sequence[DetectorSums]) -> DetectorSums:
+    def with_noise_of(self, others: Sequence[Self]) -> Self:
         """Return the sums with those of all the others in place of what tells the noise."""
         names = "residuals", "weights", "shares", "pairs", "products", "norms", "successions"
         return replace(self, **{name: sum(getattr(each, name) for each in others) for name in names})
@@ -186,7 +185,7 @@ class DetectorEstimate:
     residual_ratio: float | None
     confirmed: bool  # Whether the tracks of this run agree with the noise that it stated, and with the rays
 
-    def lasting(self, prior: NoisePrior) -> DetectorEstimate:
+    def lasting(self, prior: NoisePrior) -> Self:
         """Return the estimate for a filter that takes errors for white where those of boxes last, as gaits do.
 
         The mean of many frames with errors of correlation r errs by as much as with white ones of (1 + r) / (1 - r)

@@ -30,8 +30,6 @@ not reach. What is left fits. Such a camera shows by its redundancy, and its noi
 that search begins is no statement: the noise falls with its estimate, however few coordinates tell, until it stays.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

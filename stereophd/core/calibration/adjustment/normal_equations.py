@@ -1,7 +1,5 @@
 """Normal equations of the bundle adjustment, accumulated detection by detection (compiled)."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 

@@ -1,9 +1,8 @@
 """What a bundle adjustment works on: detections that belong to trajectories, a loss, and the problem as a whole."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -74,7 +73,7 @@ class Problem:
             weights = np.ones(len(distances))
         return weights if self.observations.weights is None else weights * self.observations.weights
 
-    def weighted(self, weights: Array) -> Problem:
+    def weighted(self, weights: Array) -> Self:
         """Return the problem of least squares in which detections have the given weights (n,)."""
         return replace(self, loss=SQUARED, observations=replace(self.observations, weights=weights))
 

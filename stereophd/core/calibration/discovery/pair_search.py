@@ -12,8 +12,6 @@ track little, a long curved one much. At a tolerance that raw hypotheses need, w
 one; those of the greatest scores are refined together, and scored again at a narrower one.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from functools import cached_property

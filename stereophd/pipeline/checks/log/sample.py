@@ -4,11 +4,10 @@ Checks look at raw pixels and at the times of frames, before any filter. A one-c
 successive frames that are mutually nearest, within a gate that separates objects from clutter.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Self
 
 import numpy as np
 
@@ -54,7 +53,7 @@ class CameraSample:
     pixels: Array  # (n, 2): Distorted pixels
     box_height_px: float | None = None  # Median height of the boxes whose middles these are; None of points
 
-    def with_camera(self, camera: Camera) -> CameraSample:
+    def with_camera(self, camera: Camera) -> Self:
         """Return the frames with another description of their camera; their one-camera tracks stay."""
         other = replace(self, camera=camera)
         # the noise about them is measured along the axes of the detector
@@ -68,7 +67,7 @@ class CameraSample:
         return interval, np.clip((times - self.times[interval]) / np.where(span > 0.0, span, 1.0), 0.0, 1.0)
 
     @property
-    def with_noise_of_middles(self) -> CameraSample:
+    def with_noise_of_middles(self) -> Self:
         """The frames with the noise of the middles of boxes, which is a part of their height; unchanged of points."""
         if self.box_height_px is None:
             return self
@@ -77,7 +76,7 @@ class CameraSample:
 
         return self.with_camera(with_noise_of_middles(self.camera, self.box_height_px))
 
-    def with_measured_noise(self, only_less: bool = False) -> CameraSample:
+    def with_measured_noise(self, only_less: bool = False) -> Self:
         """Return the frames with the noise about their one-camera tracks; unchanged where none shows.
 
         Wrong poses and clocks do not show in it, nor do errors that last, such as those of boxes. If `only_less`, a
