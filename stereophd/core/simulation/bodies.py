@@ -4,9 +4,8 @@ Each coordinate of a body's centre and of its rotation vector is a sum of harmon
 random path of stated standard deviation that stays near its middle however long the run is.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
+from typing import Self
 
 import numpy as np
 
@@ -44,8 +43,9 @@ class Body:
     # Poses of the last call of `poses`: all points of a body are asked for the same times, one after the other.
     _latest: list[BodyPoses] = field(default_factory=list, init=False, repr=False, compare=False)
 
-    @staticmethod
+    @classmethod
     def drawn(
+        cls,
         points: Array,
         center: Array,
         rotation: Array,
@@ -53,7 +53,7 @@ class Body:
         period_s: tuple[float, float],
         start_s: float,
         generator: np.random.Generator,
-    ) -> Body:
+    ) -> Self:
         """Draw the path of a body.
 
         `std` (6,) are standard deviations over time: of the centre, length, and of the rotation vector, rad. `period_s`
@@ -65,7 +65,7 @@ class Body:
         periods = np.exp(generator.uniform(shortest, longest, shape))
         phases = generator.uniform(0.0, 2.0 * np.pi, shape)
         amplitudes = np.broadcast_to(std * np.sqrt(2.0 / HARMONICS), shape)
-        return Body(points, center, rotation, start_s, amplitudes, 2.0 * np.pi / periods, phases)
+        return cls(points, center, rotation, start_s, amplitudes, 2.0 * np.pi / periods, phases)
 
     def states(self, point: int, times_s: Array) -> Array:
         """Return position and velocity (n, 6), world frame, of one point at true times (n,)."""

@@ -1,11 +1,9 @@
 """The problem of a calibration, its run and its outcome; the filters of its configuration."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 
@@ -100,11 +98,11 @@ class Outcome:
     details: dict[str, Any] = field(default_factory=dict)  # For the report
     noise: Array | float = 1.0  # That of the cameras of the result over that of the detectors, (c,) or of all
 
-    @staticmethod
-    def of_none(parameters: ParameterSet, reason: str, details: dict[str, Any] | None = None) -> Outcome:
+    @classmethod
+    def of_none(cls, parameters: ParameterSet, reason: str, details: dict[str, Any] | None = None) -> Self:
         """Return the outcome where nothing was found that agrees with the data."""
         nothing = np.full((parameters.size,) * 2, np.nan)
-        return Outcome(parameters, nothing[0], nothing, nothing[:0], np.empty(0), (), reason, details=details or {})
+        return cls(parameters, nothing[0], nothing, nothing[:0], np.empty(0), (), reason, details=details or {})
 
     def build_cameras(self) -> tuple[Camera, ...]:
         """Return the cameras of the result, with the noise that the residuals show where what is stated is wrong."""

@@ -1,12 +1,10 @@
 """Normal equations of a bundle adjustment (`calibration.adjustment.solver`) at given cameras and knots."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import NamedTuple
+from typing import NamedTuple, Self
 
 import numpy as np
 from scipy.linalg import LinAlgError, cholesky_banded
@@ -112,8 +110,8 @@ class Linearisation:
     motion: MotionPrior
     columns: Integers  # (c, q): Places of the unknown values of each camera, filled up with -1
 
-    @staticmethod
-    def of(problem: Problem) -> Linearisation:
+    @classmethod
+    def of(cls, problem: Problem) -> Self:
         """Prepare a problem."""
         observations, parameters = problem.observations, problem.parameters
         path = interpolation(problem.knots, observations.trajectories, observations.times)
@@ -126,7 +124,7 @@ class Linearisation:
         columns = np.full((len(places), max(len(index) for index in places)), -1, dtype=np.int64)
         for row, index in zip(columns, places, strict=True):
             row[: len(index)] = index
-        return Linearisation(problem, members, path, rates, MotionPrior.of(problem.knots), columns)
+        return cls(problem, members, path, rates, MotionPrior.of(problem.knots), columns)
 
     def at(self, values: Array, states: Array, noise: Array | None = None, seen: Seen | None = None) -> NormalEquations:
         """Return the normal equations at values (m,), knots (k, 2, 3) and the stated noise of the motion.

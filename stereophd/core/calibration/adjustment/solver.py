@@ -20,9 +20,8 @@ therefore judged once the knots have settled, and no step is longer than the val
 apart. Damping helps where matrices are nearly singular.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field, replace
+from typing import Self
 
 import numpy as np
 from scipy.linalg import LinAlgError, cho_factor, cho_solve, cho_solve_banded
@@ -79,8 +78,8 @@ class Eliminated:
     schur: Array  # (m, m): B - C^T A^-1 C
     right: Array  # (m,): b - C^T A^-1 a
 
-    @staticmethod
-    def of(equations: NormalEquations, factor: Array) -> Eliminated:
+    @classmethod
+    def of(cls, equations: NormalEquations, factor: Array) -> Self:
         """Eliminate the knots by the factor of their matrix."""
         coupling, vector = equations.coupling, equations.state_vector[:, None]
         moves: Booleans = np.asarray(coupling.any(axis=0))  # held values do not couple
@@ -91,9 +90,7 @@ class Eliminated:
             whitened = np.zeros((len(coupling), len(moves) + 1))
             whitened[:, np.append(moves, True)] = used
         products = whitened.T @ whitened
-        return Eliminated(
-            factor, whitened, equations.matrix - products[:-1, :-1], equations.value_vector - products[:-1, -1]
-        )
+        return cls(factor, whitened, equations.matrix - products[:-1, :-1], equations.value_vector - products[:-1, -1])
 
     def knots_after(self, values: Array) -> Array:
         """Step (6 k,) of the knots beside a step (m,) of the values."""

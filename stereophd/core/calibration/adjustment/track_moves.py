@@ -1,8 +1,7 @@
 """How far tracks move with the values of a calibration, relative to their distance, the scale apart."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
+from typing import Self
 
 import numpy as np
 
@@ -24,8 +23,8 @@ class TrackMoves:
     slopes: Array  # (k, 3, m)
     scale: Array  # (m,): Derivative of the logarithm of the cameras' scale; zero where it is known
 
-    @staticmethod
-    def of(problem: Problem, values: Array, states: Array, equations: NormalEquations) -> TrackMoves:
+    @classmethod
+    def of(cls, problem: Problem, values: Array, states: Array, equations: NormalEquations) -> Self:
         """Return the moves of the knots (k, 2, 3) of a fit, which follow the values (m,) to first order."""
         following = Eliminated.of(equations, factor_knots(equations.bands)).following()
         origin = problem.parameters.cameras[problem.reference].pose.center
@@ -33,7 +32,7 @@ class TrackMoves:
         chosen = np.arange(0, len(slopes), -(-len(slopes) // MOST_POINTS))
         scale = np.zeros(slopes.shape[-1])
         scale[: len(values)] = log_scale(problem.parameters, problem.reference, values)[1]
-        return TrackMoves(states[chosen, 0] - origin, slopes[chosen], scale)
+        return cls(states[chosen, 0] - origin, slopes[chosen], scale)
 
     def relative_move(self, step: Array) -> float:
         """Median distance by which a step of the values (m,) moves the points, over their distance from the reference.

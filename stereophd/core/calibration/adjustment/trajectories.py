@@ -11,12 +11,10 @@ the velocity is held at zero.
 The knots of successive objects follow one another in one array, so all trajectories are one banded system.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import product
-from typing import NamedTuple
+from typing import NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -243,8 +241,8 @@ class MotionPrior:
     moves: bool  # Whether objects have a velocity; if not, it is held at zero.
     links: Links
 
-    @staticmethod
-    def of(knots: Knots) -> MotionPrior:
+    @classmethod
+    def of(cls, knots: Knots) -> Self:
         """Return the motion model between all knots."""
         size = 2 * len(knots.times)
         bands, pull, links = np.zeros((4, size)), np.zeros((size, 3)), motion_links(knots)
@@ -252,7 +250,7 @@ class MotionPrior:
             np.add.at(pull, 2 * links.knot + row, links.pull[:, row])
             for column in range(row + 1):
                 np.add.at(bands[row - column], 2 * links.knot + column, links.precisions[:, row, column])
-        return MotionPrior(bands, pull, links.energy.sum(axis=0), knots.motion.moves, links)
+        return cls(bands, pull, links.energy.sum(axis=0), knots.motion.moves, links)
 
     def with_axes(self, precision: Array, out: Array | None = None) -> Array:
         """Return or add to `out` the matrix (12, 6 k) of all unknowns at a precision (3, 3) of the noise."""
@@ -286,8 +284,8 @@ class MotionNoise:
     slopes: Array  # (6, 3, 3): Its derivatives by the unknowns
     stated: Array  # (3,): Standard deviations beside which the unknowns are; 0 without noise
 
-    @staticmethod
-    def of(unknowns: Array, noise_std: Array) -> MotionNoise:
+    @classmethod
+    def of(cls, unknowns: Array, noise_std: Array) -> Self:
         """Return the noise of unknowns (6,) beside stated standard deviations (3,)."""
         mixed, unit = np.eye(3), np.zeros((3, 3, 3))
         mixed[REGRESSED] = unknowns[3:]
@@ -296,7 +294,7 @@ class MotionNoise:
         scales = np.exp(-along @ unknowns[:3])[:, None]
         inverse = 1.0 / np.where(noise_std > 0.0, noise_std, 1.0)  # without noise there are no differences
         slopes = np.concatenate([-along.T[:, :, None] * mixed, unit])
-        return MotionNoise(scales * mixed * inverse, scales * slopes * inverse, noise_std)
+        return cls(scales * mixed * inverse, scales * slopes * inverse, noise_std)
 
     @property
     def precision(self) -> Array:

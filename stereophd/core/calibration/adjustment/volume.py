@@ -8,9 +8,8 @@ the position to those of the velocity. The covariances are those parts of the in
 (K. Takahashi, J. Fagan and M.-S. Chin, "Formation of a sparse bus impedance matrix", 1973).
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
+from typing import Self
 
 import numpy as np
 
@@ -99,8 +98,8 @@ class VolumeSlopes:
     by_time: Array  # (n,): by its time, through the weights of its knots
     by_noise: Array  # (l, 6): of each link, by the unknowns of the noise of the motion
 
-    @staticmethod
-    def of(linearisation: Linearisation, values: Array, noise: Array, factor: Array, seen: Seen) -> VolumeSlopes:
+    @classmethod
+    def of(cls, linearisation: Linearisation, values: Array, noise: Array, factor: Array, seen: Seen) -> Self:
         """Return the derivatives at values (m,); `factor` (12, 6 k) is that of A, lower banded."""
         inverse = np.zeros_like(factor)
         inverse_in_band(factor, inverse)
@@ -113,7 +112,7 @@ class VolumeSlopes:
         covariances = np.zeros((len(links.knot), 3, 3))
         summed_covariances(inverse, links.knot, links.precisions, covariances)
         by_noise = linearisation.noise_at(values, noise).by_unknowns(covariances)
-        return VolumeSlopes(values, seen, rows, of_point, by_time, by_noise)
+        return cls(values, seen, rows, of_point, by_time, by_noise)
 
     def by_value(
         self, linearisation: Linearisation, pixels: Array, more: Array | float = 0.0, later: Array | float = 0.0

@@ -7,9 +7,8 @@ wrong, and rejects what would correct them: they stay wrong, and are sure of it.
 compared with that of clutter: along a wide prediction a detection that fits tells nothing.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
+from typing import Self
 
 import numpy as np
 
@@ -38,8 +37,8 @@ class Predictions:
     following: Array  # (6 k, m): How the knots follow the values
     covariance: Array  # (m, m): Of the values, all of them free, whatever the fit has held
 
-    @staticmethod
-    def of(problem: Problem, adjustment: Adjustment) -> Predictions:
+    @classmethod
+    def of(cls, problem: Problem, adjustment: Adjustment) -> Self:
         """Prepare a fit, the solution of a problem."""
         weighted = problem.weighted(problem.weights(adjustment.distances))
         equations = Linearisation.of(weighted).at(adjustment.values, adjustment.states)
@@ -48,7 +47,7 @@ class Predictions:
         inverse_in_band(factor, inverse)
         eliminated = Eliminated.of(equations, factor)
         covariance = within_prior(eliminated.schur, problem.parameters.prior_std)
-        return Predictions(weighted, adjustment, inverse, eliminated.following(), covariance)
+        return cls(weighted, adjustment, inverse, eliminated.following(), covariance)
 
     def judged(self, seen: Observations, weights: Array) -> tuple[Array, Array]:
         """Squared distances (n,) of detections from their predictions without them, and the log of the densities there.

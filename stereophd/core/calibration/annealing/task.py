@@ -1,10 +1,9 @@
 """What annealed calibration works on and returns: the task, a fit of cameras and trajectories, a start."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from operator import itemgetter
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -98,8 +97,9 @@ class Task:
         """Share of the tracked events' detections that one-camera tracks hold."""
         return sum(len(detections) for _, detections in self.tracks) / max(len(self.tracking.points), 1)
 
-    @staticmethod
+    @classmethod
     def of(
+        cls,
         parameters: ParameterSet,
         reference: int,
         multi_filter: PmbFilter,
@@ -107,7 +107,7 @@ class Task:
         scale: ScaleMeasurement | None,
         settings: AnnealedSettings,
         stages: tuple[UnknownSet, ...] = (),
-    ) -> Task:
+    ) -> Self:
         """Prepare what all starts share: the one-camera tracks of each camera.
 
         Of a long log that part is worked on that has more detections to fit in these: instants that are spread over the
@@ -126,12 +126,12 @@ class Task:
         _, part, frames, scans, tracking, tracks = max(tried, key=itemgetter(0))
         pairs = make_pairs(parameters, tracking, tracks)
         clocks = search_offsets(parameters, pairs.raw)
-        return Task(
+        return cls(
             parameters, reference, multi_filter, part, frames, scans, tracking, tracks, pairs, scale, settings, clocks,
             stages or default_stages(parameters),
         )  # fmt: skip
 
-    def with_noise(self, factors: Array | float, shared: Array | None = None) -> Task:
+    def with_noise(self, factors: Array | float, shared: Array | None = None) -> Self:
         """Return the task with the noise of each camera's detections times factors (c,) or one, a part `shared`."""
         factors = np.broadcast_to(np.asarray(factors, dtype=np.float64), len(self.parameters.cameras))
         recording, cameras = self.recording.with_noise(factors), self.parameters.cameras
@@ -211,6 +211,6 @@ class Start:
         """Evidence plus log-prior."""
         return self.log_evidence + self.log_prior
 
-    def with_pass(self, fit: Fit) -> Start:
+    def with_pass(self, fit: Fit) -> Self:
         """Return the start after a further pass."""
         return replace(self, passes=np.vstack([self.passes, fit.adjustment.values]), fit=fit)

@@ -1,10 +1,8 @@
 """The view of a camera on trajectories: raw pixels and their derivatives with respect to points and time."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import NamedTuple, Self
 
 import numpy as np
 
@@ -38,8 +36,8 @@ class Sights:
     cameras: tuple[Camera, ...]
     places: Places
 
-    @staticmethod
-    def of(cameras: tuple[Camera, ...], of_row: Integers, times: Array) -> Sights:
+    @classmethod
+    def of(cls, cameras: tuple[Camera, ...], of_row: Integers, times: Array) -> Self:
         """Return those of rows of cameras (n,) at true times (n,), s."""
         found, poses, count = [], np.empty(len(of_row), dtype=np.int64), 0
         for number, camera in enumerate(cameras):
@@ -50,7 +48,7 @@ class Sights:
         # joined copies of one vector have other strides, for which kernels would be compiled once more
         motions = Motions(*(np.ascontiguousarray(np.concatenate(parts)) for parts in zip(*found, strict=True)))
         intrinsics = np.array([[c.fx, c.fy, c.cx, c.cy, c.lens.code, c.lens.max_radius] for c in cameras])
-        return Sights(
+        return cls(
             cameras, Places(of_row, poses, motions, intrinsics, np.array([c.lens.coefficients for c in cameras]))
         )
 
