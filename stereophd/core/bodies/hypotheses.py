@@ -1,7 +1,5 @@
 """Hypotheses of the tracks of bodies, and their reduction after an event."""
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np
@@ -35,7 +33,7 @@ class Hypotheses(NamedTuple):
     @staticmethod
     def undecided(
         owners: Integers, weights: Array, means: Array, covariances: Array, views: Integers, n_cameras: int
-    ) -> Hypotheses:
+    ) -> "Hypotheses":
         """Return hypotheses before an instant."""
         shape = (len(owners), n_cameras)
         return Hypotheses(owners, weights, means, covariances, np.full(shape, -1), np.ones(shape), views)
@@ -52,7 +50,7 @@ class Hypotheses(NamedTuple):
             self.owners[chosen], self.weights[chosen], self.means[chosen], self.covariances[chosen], n_tracks
         )
 
-    def take(self, kept: Integers | Booleans) -> Hypotheses:
+    def take(self, kept: Integers | Booleans) -> "Hypotheses":
         """Return some of the hypotheses."""
         return Hypotheses._make(values[kept] for values in self)
 

@@ -1,7 +1,5 @@
 """Pose of a camera in the world, standing still or moving steadily."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -85,14 +83,14 @@ class Pose(EqualByValue):
         self.__dict__.update(time_s=float(time_s), path=path)
 
     @staticmethod
-    def following(path: MountedPath, time_s: float | None = None) -> Pose:
+    def following(path: MountedPath, time_s: float | None = None) -> "Pose":
         """Return the pose of a camera on a path at a time, s; by default the first of its trajectory."""
         time_s = path.trajectory.span[0] if time_s is None else time_s
         turns, centers, velocities, rates = path.at(np.array([time_s]))
         return Pose(turns[0], centers[0], velocities[0], rates[0], time_s, path)
 
     @staticmethod
-    def in_steps(first: Pose, later: Sequence[tuple[float, Pose]]) -> Pose:
+    def in_steps(first: "Pose", later: Sequence[tuple[float, "Pose"]]) -> "Pose":
         """Return a pose that is `first`, and from each later time (s, rising) on another one that stands still.
 
         It is a trajectory whose poses change within a nanosecond, and that has no ends.
@@ -119,7 +117,7 @@ class Pose(EqualByValue):
         """First and last time, s, at which the pose is known."""
         return (-math.inf, math.inf) if self.path is None else self.path.trajectory.span
 
-    def at(self, time_s: float) -> Pose:
+    def at(self, time_s: float) -> "Pose":
         """Return the pose moved to a time, s; the pose itself if it is static.
 
         The rotation is exp(-[rotation_rate]_x (time_s - self.time_s)) @ rotation: the camera turns by the

@@ -1,7 +1,5 @@
 """Sets of points, one for each scan of a run."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
@@ -42,16 +40,16 @@ class PointSets:
         """Scan of each point, (n,)."""
         return np.repeat(np.arange(self.scans, dtype=np.int64), self.counts)
 
-    def keep_points(self, keep: NDArray[np.bool_]) -> PointSets:
+    def keep_points(self, keep: NDArray[np.bool_]) -> "PointSets":
         """Return the same scans with only the marked points, (n,) bool."""
         kept = np.concatenate([[0], np.cumsum(keep, dtype=np.int64)])
         return self._rows(kept[self.start], np.flatnonzero(keep))
 
-    def keep_scans(self, keep: NDArray[np.bool_]) -> PointSets:
+    def keep_scans(self, keep: NDArray[np.bool_]) -> "PointSets":
         """Return only the marked scans, (k,) bool, with all their points."""
         start = np.concatenate([[0], np.cumsum(self.counts[keep], dtype=np.int64)])
         return self._rows(start, np.flatnonzero(np.repeat(keep, self.counts)))
 
-    def _rows(self, start: Integers, rows: Integers) -> PointSets:
+    def _rows(self, start: Integers, rows: Integers) -> "PointSets":
         columns = {name: values for name, values in vars(self).items() if name != "start" and values is not None}
         return PointSets(start, **{name: values[rows] for name, values in columns.items()})

@@ -1,7 +1,5 @@
 """Score tracks against the truth: both brought to the same scans and, if wanted, frame and clock; then metrics."""
 
-from __future__ import annotations
-
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -92,7 +90,7 @@ class _Scans:
     points: PointSets  # The objects
     unscored: dict[str, int]  # Scans that are left out, by the reason
 
-    def without(self, emptied: Booleans, estimates: PointSets, points: PointSets, reason: str) -> _Scans:
+    def without(self, emptied: Booleans, estimates: PointSets, points: PointSets, reason: str) -> "_Scans":
         """Return the scans with fewer estimates and objects, without those that this leaves empty."""
         kept = ~emptied
         unscored = {**self.unscored, reason: int(emptied.sum())}

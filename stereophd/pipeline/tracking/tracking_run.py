@@ -1,7 +1,5 @@
 """A tracking run: from a configuration to the records of a log, and from records to files."""
 
-from __future__ import annotations
-
 import contextlib
 import functools
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -72,7 +70,7 @@ class TrackingRun:
         region, points = self.loaded.config.region, not (single or self.boxes)
         return reported_records(self.estimator, self.motion, events, self.report, points, kept, run, region)
 
-    def with_estimated_detectors(self, stream: EventStream) -> TrackingRun:
+    def with_estimated_detectors(self, stream: EventStream) -> "TrackingRun":
         """Return the run with detectors estimated from the log; the same where the configuration gives them all."""
         estimated = self.loaded.estimated_cameras
         if not estimated:

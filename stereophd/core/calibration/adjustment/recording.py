@@ -4,8 +4,6 @@ Raw pixels and times on the cameras' own clocks are kept, so that lenses and clo
 make other events of the same recording.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -39,7 +37,7 @@ class Recording:
     heights: Array  # (c,): Height of each camera's image, px
 
     @staticmethod
-    def of(cameras: Sequence[Camera], frames: Sequence[RawFrame]) -> Recording:
+    def of(cameras: Sequence[Camera], frames: Sequence[RawFrame]) -> "Recording":
         """Join frames that were read by the clocks of `cameras`, in order of time."""
         nothing = np.empty((0, 2))
         sigma = [
@@ -73,7 +71,7 @@ class Recording:
         steps = [np.diff(self.times[self.cameras == camera]) for camera in range(count)]
         return np.array([float(np.median(step)) if len(step) else 0.0 for step in steps])
 
-    def with_noise(self, factors: Array) -> Recording:
+    def with_noise(self, factors: Array) -> "Recording":
         """Return the recording with the noise of each camera's detections times a factor (c,)."""
         return replace(self, sigma=self.sigma * factors[self.cameras[self.frame_of], None])
 
@@ -112,7 +110,7 @@ class Recording:
         count = math.ceil(kept / share)
         return np.flatnonzero(((slot * kept + count // 2) % count < kept) | (periods > period)[self.cameras])
 
-    def part(self, frames: Integers) -> Recording:
+    def part(self, frames: Integers) -> "Recording":
         """Return some of the frames, in increasing order."""
         if len(frames) == len(self.cameras):
             return self
@@ -159,7 +157,7 @@ class Scans:
     recording: Recording
 
     @staticmethod
-    def of(recording: Recording, cameras: Sequence[Camera], frames: Integers | None = None) -> Scans:
+    def of(recording: Recording, cameras: Sequence[Camera], frames: Integers | None = None) -> "Scans":
         """Undistort a recording, or some of its frames, and put it in the order of the cameras' clocks."""
         frames = np.arange(len(recording.cameras)) if frames is None else frames
         true = recording.true_times(cameras)
@@ -214,7 +212,7 @@ class Scans:
             )  # fmt: skip
         return tuple(out)
 
-    def of_camera(self, camera: int) -> Scans:
+    def of_camera(self, camera: int) -> "Scans":
         """Return the frames of one camera."""
         frames, rows = self.cameras == camera, self.cameras[self.event_of] == camera
         return Scans(

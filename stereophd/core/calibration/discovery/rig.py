@@ -5,8 +5,6 @@ at the same times before a camera that it shares with a pair already placed. A p
 others place its cameras. What all of them show together is adjusted, and judged, afterwards.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import permutations, product
@@ -149,7 +147,7 @@ class _Place:
     variances: Array  # (3,): of rotation, direction and offset, as they add up along the chain of pairs
     chain: tuple[int, ...]  # the cameras by which it is placed
 
-    def of_other(self, fit: PairFit, number: int, is_second: bool) -> _Place:
+    def of_other(self, fit: PairFit, number: int, is_second: bool) -> "_Place":
         """Place the other camera of a pair, its second or its first, by this one, whose number is given."""
         state = fit.state
         variances = self.variances + np.array([fit.rotation_std, fit.direction_std, fit.stds[5]]) ** 2
@@ -159,7 +157,7 @@ class _Place:
         rate = self.rate / state.rate
         return _Place(state.rotation.T @ self.rotation, self.later - later / state.rate, rate, variances, chain)
 
-    def distance(self, other: _Place) -> tuple[float, float]:
+    def distance(self, other: "_Place") -> tuple[float, float]:
         """Return how far another place is turned, rad, and how much later its clock is, s."""
         return float(np.linalg.norm(rotation_to_vector(other.rotation @ self.rotation.T))), other.later - self.later
 
@@ -173,13 +171,13 @@ class _Option:
     place: _Place
     step: float  # of the offsets that were searched, s
 
-    def agrees(self, other: _Option) -> bool:
+    def agrees(self, other: "_Option") -> bool:
         """Whether it turns the camera and its clock as another does, as far as both state it."""
         turn, later = self.place.distance(other.place)
         stated = float(np.sqrt(self.place.variances[0] + other.place.variances[0]))
         return turn <= max(OTHER_ANGLE, stated) and abs(later) <= OTHER_STEPS * max(self.step, other.step)
 
-    def group(self, options: Sequence[_Option]) -> dict[tuple[int, int], _Option]:
+    def group(self, options: Sequence["_Option"]) -> dict[tuple[int, int], "_Option"]:
         """Return it and, of each other pair, the option of the greatest gain that agrees with it.
 
         Points that lie behind a camera, where rays are nearly parallel, say nothing of turn and clock.

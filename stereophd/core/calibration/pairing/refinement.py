@@ -6,8 +6,6 @@ held: what a lens of its prior does to the rays is more than the last tolerance,
 two cameras, but not between all.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -70,7 +68,7 @@ class Linear:
     missing: Booleans  # (r,)
 
     @staticmethod
-    def at(parameters: ParameterSet, pairs: TrackPairs, values: Array, rows: Integers | None = None) -> Linear:
+    def at(parameters: ParameterSet, pairs: TrackPairs, values: Array, rows: Integers | None = None) -> "Linear":
         """Linearise the distances of some rows, by default all, about values (m,)."""
         rows = np.arange(len(pairs.pair)) if rows is None else rows
         names = {parameters.cameras[number].name for number in np.unique(pairs.cameras).tolist()}
@@ -81,7 +79,7 @@ class Linear:
         offsets = ((values - parameters.prior_mean) / parameters.prior_std)[columns]
         return Linear(parameters, pairs, columns, offsets, rows, distances, jacobian, missing)
 
-    def take(self, places: Integers) -> Linear:
+    def take(self, places: Integers) -> "Linear":
         """Return some of the rows."""
         return Linear(
             self.parameters, self.pairs, self.columns, self.offsets, self.rows[places],

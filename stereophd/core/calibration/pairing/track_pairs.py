@@ -1,7 +1,5 @@
 """Pairs of one-camera tracks that may be one object, and the rays of both at their common times."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -66,7 +64,7 @@ class TrackPairs:
         """Return the rows of some of the pairs."""
         return np.flatnonzero(np.isin(self.pair, members))
 
-    def take(self, members: Integers) -> TrackPairs:
+    def take(self, members: Integers) -> "TrackPairs":
         """Return some of the pairs, in increasing order, with their rows."""
         rows = self.rows_of(members)
         return TrackPairs(

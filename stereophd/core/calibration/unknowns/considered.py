@@ -12,8 +12,6 @@ smoothers and of predictions are treated alike, and nothing of their past is nee
 state-space methods to navigation problems", 1966, for parameters that are considered but not estimated.)
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -139,11 +137,11 @@ class CommonPart:
     total: float  # Sum of the squared moves
 
     @staticmethod
-    def of_none(size: int) -> CommonPart:
+    def of_none(size: int) -> "CommonPart":
         """Return the sums of no estimate, for m parameters."""
         return CommonPart(0, np.zeros((7, 7)), np.zeros((7, size)), 0.0)
 
-    def including(self, positions: Array, shifts: Array) -> CommonPart:
+    def including(self, positions: Array, shifts: Array) -> "CommonPart":
         """Return the sums with estimates at positions (n, 3) that move by the columns of a root so (n, 3, m).
 
         They are added one by one: however they are handed over, the sums are the same to the last bit.

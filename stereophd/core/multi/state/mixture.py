@@ -1,7 +1,5 @@
 """Gaussian mixtures over disparity spaces: one named tuple, the same in Python and in compiled code."""
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np
@@ -42,11 +40,11 @@ class GaussianMixture(NamedTuple):
         """Number of components (`len` of the tuple is the number of its fields)."""
         return len(self.weights)
 
-    def take(self, index: Integers) -> GaussianMixture:
+    def take(self, index: Integers) -> "GaussianMixture":
         """Return the components with these indices."""
         return GaussianMixture._make(values[index] for values in self)
 
-    def with_weights(self, weights: Array) -> GaussianMixture:
+    def with_weights(self, weights: Array) -> "GaussianMixture":
         """Return the same components with other weights."""
         # `_replace` takes longer
         return GaussianMixture(weights, *self[1:])

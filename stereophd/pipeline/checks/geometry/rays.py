@@ -7,8 +7,6 @@ are shifted, which is what chance gives. No track and no filter is involved, so 
 clocks fit the log.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cache, cached_property
@@ -64,13 +62,13 @@ class Candidates:
     pixels_a: Array  # (n, 2)
     pixels_b: Array  # At the same times, then at shifted ones; NaN where there are fewer than k
 
-    def thinned(self, count: int, shifts: int = SHIFTS) -> Candidates:
+    def thinned(self, count: int, shifts: int = SHIFTS) -> "Candidates":
         """Return fewer of the detections, and fewer shifted times."""
         kept = np.unique(np.linspace(0, len(self.detections) - 1, min(count, len(self.detections))).astype(int))
         there = np.ascontiguousarray(self.pixels_b[: 1 + shifts, kept])
         return Candidates(self.a, self.b, self.detections[kept], self.times[kept], self.pixels_a[kept], there)
 
-    def elsewhere(self, camera: Camera) -> Candidates:
+    def elsewhere(self, camera: Camera) -> "Candidates":
         """Return the detections of A, the given camera, at other places of the image, each in its own direction."""
         angle = GOLDEN_ANGLE * np.arange(len(self.pixels_a))
         size = np.array([camera.width, camera.height]) - 1.0
