@@ -69,7 +69,8 @@ def run(loaded: LoadedConfig, number: int) -> list[Series]:
     problem = CalibrationProblem(parameters, reference, recording, build_scale(guessed, parameters), {})
     method = annealed_outcome if section.method == "annealed" else sequential_outcome
     with tempfile.TemporaryDirectory() as folder, method_clock():
-        outcome = method(CalibrationRun(guessed, problem, UnfinishedRun(Path(folder), "")))
+        run = CalibrationRun(guessed, problem, UnfinishedRun(Path(folder), ""), history_times=_times(loaded))
+        outcome = method(run)
     found = Series("found", "1", np.array([float(status_of(problem, outcome)[0] != UNDETERMINED)]))
     limits = _scene_bounds(loaded, number)
     return [found, *_errors(loaded, parameters, reference, true, outcome.history, limits)]

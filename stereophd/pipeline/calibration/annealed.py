@@ -1,11 +1,11 @@
 """Method annealed of `calibrate`: its starts, kept while the run is unfinished, on processes, and its `Outcome`."""
 
 from collections.abc import Callable, Iterator
-from contextlib import nullcontext
+from contextlib import ExitStack
 from dataclasses import replace
 from functools import partial
 from operator import call
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
@@ -24,6 +24,7 @@ from stereophd.core.calibration.annealing.method import (
 from stereophd.core.calibration.annealing.starts import (
     agreeing_with_best,
     best_of,
+    compared,
     distinct,
     followed_before,
     is_led_to,
@@ -104,7 +105,8 @@ def annealed_outcome(run: CalibrationRun) -> Outcome:
 
 
 def _task(run: CalibrationRun) -> Task:
-    return replace(annealed_task(run.loaded, run.section, run.problem), limit=run.limit, threads=run.jobs)
+    task = annealed_task(run.loaded, run.section, run.problem)
+    return replace(task, limit=run.limit, threads=run.jobs, history_times=run.history_times)
 
 
 def _unmeasured(run: CalibrationRun) -> ParameterSet:
@@ -129,7 +131,8 @@ def choices_of(section: CalibrationConfig) -> Choices:
 def _all_starts(run: CalibrationRun, task: Task, may_refuse: bool = False, kept: str = "starts") -> list[Start]:
     """Run starts until enough agree or, if that `may_refuse` the others, as many explain the log and are ruled out.
 
-    They are kept under a name while the run is unfinished.
+    They are kept under a name while the run is unfinished. The second is nearly always led to what the first has found:
+    processes begin for those after it.
     """
     count, agreeing = task.most_starts, task.settings.agreeing_starts
     values = start_values(task.parameters, CALIBRATION_STARTS.seed(run.loaded.config.seed), count)
@@ -144,11 +147,13 @@ def _all_starts(run: CalibrationRun, task: Task, may_refuse: bool = False, kept:
 
     if not is_done():
         run.limit.begin(f"up to {count} starts begin")
-    jobs = 1 if is_done() else min(run.jobs, count - len(starts))
-    with nullcontext(map) if jobs == 1 else worker_processes(jobs, PROGRESS.debug) as results_of:
+    jobs, results_of = 1, cast("Callable[..., Iterator[Any]]", map)
+    with ExitStack() as held:
         while not is_done():
+            if jobs == 1 < len(starts) and (jobs := min(run.jobs, count - len(starts))) > 1:
+                results_of = held.enter_context(worker_processes(jobs, PROGRESS.debug))
             for start in _next_starts(task, starts, values, seeds, results_of, jobs):
-                starts.append(start)
+                starts[:] = compared(task, [*starts, start])
                 if not run.limit.is_over:  # one that the time has cut short is done again
                     run.unfinished.keep(kept, list(starts))
                 run.progress(len(starts), count)

@@ -69,6 +69,7 @@ class CalibrationRun:
     progress: Progress = ignore
     limit: TimeLimit = ENDLESS
     is_searched: bool = False  # Whether no pose was known, and all were found before
+    history_times: Array | None = None  # As in a `Task`
 
     @property
     def section(self) -> CalibrationConfig:

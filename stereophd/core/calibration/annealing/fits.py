@@ -47,8 +47,9 @@ ANNEALED_ITERATIONS = 30
 SETTLING_STEPS = 3
 # Step, in posterior standard deviations, at which the search for a joint or marginal optimum of a pass has settled.
 SETTLED_IN_PASSES = 1.0
-# Times at which the history holds the posterior.
-HISTORY_TIMES = 16
+# Times at which the history holds the posterior, and the part of the log that each holds of that until the next one: the
+# deviations of what detections determine fall by as much from each to the next.
+HISTORY_TIMES, HISTORY_PART = 9, np.sqrt(0.5)
 # Passes in which fitted trajectories choose their detections.
 FITTED_PASSES = 2
 # Frames by which a trajectory may go on before its first detection and after its last one, in a pass.
@@ -177,14 +178,17 @@ def history_of(task: Task, answer: Fit, result: Fit) -> tuple[HistoryRow, ...]:
     """Return the posterior over time, of the log so far, and the result as the last row.
 
     A row is the marginal posterior given the detections until a time, with the association of the answer. It is
-    searched from the row after it, beside whose optimum that of a little less of the log lies. None is without any
-    detection of an object that two cameras see.
+    searched from the row after it, beside whose optimum that of less of the log lies. None is without any detection of
+    an object that two cameras see.
     """
-    *times, end = np.linspace(task.recording.times[0], task.recording.times[-1], HISTORY_TIMES + 1)[1:].tolist()
+    start, end = task.recording.times[[0, -1]].tolist()
+    times = task.history_times
+    if times is None:
+        times = start + (end - start) * HISTORY_PART ** np.arange(HISTORY_TIMES - 1, 0, -1)
     rows = [HistoryRow(end, result.adjustment.values, result.adjustment.covariance)]
-    for time_s in reversed(times):
+    for time_s in times[::-1].tolist():
         part = part_of(task, answer, np.flatnonzero(answer.observations.times <= time_s))
-        if part is None or not task.limit.begin(f"the history of the answer, {len(rows)} of {HISTORY_TIMES}"):
+        if part is None or not task.limit.begin(f"the history of the answer, {len(rows)} of {len(times) + 1}"):
             break
         with suppress(LinAlgError):
             problem, begun = _begun(task, part, part.observations)

@@ -5,8 +5,8 @@ noise, so that detections of one object are associated although the cameras are 
 trajectories to those detections, which improves the cameras. The inflation falls from pass to pass; in the last passes
 the fitted trajectories choose their detections themselves. See docs/explanation/calibration.md.
 
-A start succeeds only if the trajectories that two cameras share explain the detections. The best start has the greatest
-sum of evidence (PMB filter at the true noise) and log-prior.
+A start succeeds only if the trajectories that two cameras share explain the detections. Of starts that do not agree the
+best has the greatest sum of evidence (PMB filter at the true noise) and log-prior.
 """
 
 from dataclasses import replace
@@ -84,7 +84,7 @@ def run_start(task: Task, number: int, values: Array, pairings: list[Pairing]) -
             break
         task.limit.begin(f"start {number + 1} of at most {task.most_starts}: cameras are fitted to {PAIRING} {place}")
         found = _follow(task, number, f"{PAIRING} {place}", values, paired_fit(task, pairing))
-        tried.append(replace(found, pairing=pairing))
+        tried = compared(task, [*tried, replace(found, pairing=pairing)])
     if not any(start.explained >= task.settings.min_tracked for start in tried):
         tried.append(_follow(task, number, WIDE, values, None))
     return best_of(tried) or max(tried, key=lambda one: one.explained)
@@ -139,7 +139,7 @@ def _judged(task: Task, start: Start) -> Start:
     if why is not None:
         return replace(start, outcome=why, explained=part)
     prior = float(task.parameters.log_prior(fit.adjustment.values))
-    return replace(start, outcome=SUCCEEDED, log_evidence=evidence(task, fit), log_prior=prior, explained=part)
+    return replace(start, outcome=SUCCEEDED, log_prior=prior, explained=part)
 
 
 def evidence(task: Task, fit: Fit) -> float:
@@ -208,8 +208,20 @@ def agree(one: Start, other: Start, within: float = AGREEMENT) -> bool:
     return float(difference @ np.linalg.solve(covariance, difference)) <= within**2 * len(difference)
 
 
+def compared(task: Task, starts: list[Start]) -> list[Start]:
+    """Return starts with their evidence where some that succeeded do not agree; without it no other would be chosen."""
+    succeeded = [start for start in starts if start.succeeded]
+    if all(agree(succeeded[0], other) for other in succeeded[1:]):
+        return starts
+    lacking = [start.succeeded and bool(np.isnan(start.log_evidence)) for start in starts]
+    return [
+        replace(start, log_evidence=evidence(task, start.fit)) if lacks and start.fit else start
+        for start, lacks in zip(starts, lacking, strict=True)
+    ]
+
+
 def best_of(starts: list[Start]) -> Start | None:
-    """The successful start of the greatest evidence plus log-prior, if any; the earlier of equal ones."""
+    """The successful start of the greatest evidence plus log-prior, if any; the first where none has evidence."""
     return max((s for s in starts if s.succeeded), key=lambda s: s.score, default=None)
 
 
@@ -238,7 +250,7 @@ def distinct(starts: list[Start]) -> list[Start]:
 def modes_of(fits: list[Fit], scores: list[float]) -> Modes:
     """Modes of the posterior: optima, Laplace covariances, shares by evidence plus log-prior."""
     # a mode that the evidence hardly supports still gets a twentieth: the sampler decides
-    share = np.exp(np.array(scores) - max(scores))
+    share = np.exp(np.array(scores) - max(scores)) if len(scores) > 1 else np.ones(1)
     share = np.maximum(share / share.sum(), LEAST_SHARE)
     means = np.stack([fit.adjustment.values for fit in fits])
     return Modes(means, np.stack([fit.adjustment.covariance for fit in fits]), share / share.sum())

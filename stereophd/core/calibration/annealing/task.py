@@ -84,6 +84,7 @@ class Task:
     threads: int = 1  # Of what is computed side by side from an answer
     # (c,): Part of the noise's variance that detections of a cell share (`adjustment.noise`); default none.
     shared: Array | None = None
+    history_times: Array | None = None  # (t,): Of the history, before its end, s; default as `fits.history_of` says
 
     @property
     def most_starts(self) -> int:
@@ -194,7 +195,8 @@ class Start:
     outcome: str  # `SUCCEEDED`, or why not
     passes: Array  # (p, m): Values after every pass
     fit: Fit | None  # The last one
-    # `log_evidence`, `log_prior`: At the last values; NaN where the start failed.
+    # `log_evidence`, `log_prior`: At the last values; NaN where the start failed. The evidence is also NaN while all
+    # starts that succeeded agree (`starts.compared`).
     log_evidence: float
     log_prior: float
     explained: float  # Detections of shared trajectories, in parts of those not expected to be false
