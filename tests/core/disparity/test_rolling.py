@@ -165,6 +165,9 @@ def test_predicted_pixels_of_a_calibration_are_those_of_the_detections(speed: fl
     velocities = np.random.default_rng(6).normal(0.0, speed, positions.shape)
     pixels, _ = rows_read(camera, positions, velocities)
     event = make_event(camera.at(TIME_S), 0, TIME_S, pixels)
-    found = detected_pixels(camera.at(TIME_S), np.column_stack([positions, velocities]), event)
     order = np.array([int(np.abs(event.pixels - one).sum(axis=1).argmin()) for one in pixels])
-    np.testing.assert_allclose(found[np.arange(len(order)), order], event.points[order], atol=1e-6)
+    assert event.delays is not None
+    assert event.travels is not None
+    states, times = np.column_stack([positions, velocities]), np.full(len(order), TIME_S)
+    found = detected_pixels(camera, states, times, event.delays[order], event.travels[order])
+    np.testing.assert_allclose(found, event.points[order], atol=1e-6)

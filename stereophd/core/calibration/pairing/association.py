@@ -69,55 +69,69 @@ def track_detections(multi_filter: PmbFilter, scans: Scans, inflation: float) ->
     """
     state = multi_filter.init()
     total = 0.0
-    found: list[tuple[Integers, Integers, Array, Array]] = []
+    names, positions, variances = [np.empty(0, dtype=np.int64)], [np.empty((0, 6))], [np.empty(0)]
+    counts = np.zeros(len(scans.times), dtype=np.int64)  # of tracks
     for number, event in enumerate(scans.events):
         if number % REPORTED_EVERY == 0:
-            within(f"objects are followed, {percent(number / len(scans.events))} of the frames")
-        wide = inflated(event, inflation)
-        state, info, estimates = multi_filter.step(state, wide)
+            within(f"objects are followed, {percent(number / len(counts))} of the frames")
+        state, info, estimates = multi_filter.step(state, inflated(event, inflation))
         total += info.log_likelihood
-        sure = np.flatnonzero(estimates.existence >= LEAST_EXISTENCE)
-        if not len(sure) or not len(event.points):
-            continue
-        camera, states = multi_filter.rig.cameras[event.camera].at(event.time_s), estimates.states[sure]
-        rows, columns = match(detected_pixels(camera, states, wide), wide, TRACK_GATE)
-        points = states[:, :3]
-        variances = np.trace(estimates.covariances[sure[rows], :3, :3], axis1=1, axis2=2)
-        found.append((estimates.track_ids[sure[rows]], scans.first[number] + columns, points[rows], variances))
-    if not found:
-        none = np.empty(0, dtype=np.int64)
-        return TrackedDetections(none, none, np.empty((0, 3)), np.empty(0), total)
-    names, detections, estimated, variances = (np.concatenate(part) for part in zip(*found, strict=True))
-    _, tracks = np.unique(names, return_inverse=True)
+        sure = estimates.existence >= LEAST_EXISTENCE
+        counts[number] = np.count_nonzero(sure)
+        names.append(estimates.track_ids[sure])
+        positions.append(estimates.states[sure])
+        variances.append(np.trace(estimates.covariances[sure, :3, :3], axis1=1, axis2=2))
+    states = np.concatenate(positions)
+    rows, detections = matched(
+        multi_filter.rig.cameras, np.repeat(np.arange(len(counts)), counts), states, scans, inflation
+    )
+    _, tracks = np.unique(np.concatenate(names)[rows], return_inverse=True)
     order = np.lexsort((detections, tracks))
-    return TrackedDetections(tracks[order], detections[order], estimated[order], variances[order], total)
+    rows, detections, tracks = rows[order], detections[order], tracks[order]
+    return TrackedDetections(tracks, detections, states[rows, :3], np.concatenate(variances)[rows], total)
 
 
-def detected_pixels(camera: Camera, states: Array, event: Event) -> Array:
-    """Undistorted pixels (n, m or 1, 2) of objects, positions and velocities (n, 6), at the times of m detections.
+def matched(
+    cameras: Sequence[Camera], events: Integers, states: Array, scans: Scans, inflation: float
+) -> tuple[Integers, Integers]:
+    """Assign states (k, 6) after events (k,), in order, to the detections of these; return rows of both.
 
-    With a rolling shutter a detection is later than its event by the delay of its row. The pixels are those of the
-    camera at the event; that the camera moves on until then is as if the objects moved the other way.
+    One to one, at the least sum of squared Mahalanobis distances within `TRACK_GATE`.
     """
-    pinhole = replace(camera, lens=Lens())
-    if event.delays is None:
-        return np.asarray(pinhole.project(states[:, :3])[:, None, :])
-    moved = states[:, None, :3] + event.delays[None, :, None] * states[:, None, 3:]
-    if event.travels is not None:
-        moved = moved - event.travels
-    return pinhole.project(moved.reshape(-1, 3)).reshape(len(states), len(event.points), 2)
+    counts = np.diff(scans.first)[events]
+    rows = np.repeat(np.arange(len(events)), counts)
+    seen = np.arange(len(rows)) + np.repeat(scans.first[events] - np.cumsum(counts) + counts, counts)
+    errors, delays, travels = -scans.points[seen], np.nan_to_num(scans.delays), np.nan_to_num(scans.travels)
+    for number, camera in enumerate(cameras):
+        own = np.flatnonzero(scans.cameras[events[rows]] == number)
+        at = seen[own]
+        errors[own] += detected_pixels(
+            camera, states[rows[own]], scans.times[scans.event_of[at]], delays[at], travels[at]
+        )
+    distances = np.einsum("ni,nij,nj->n", errors, np.linalg.inv(scans.covariances)[seen], errors) / inflation**2
+    near = distances < TRACK_GATE
+    rows, seen, distances = rows[near], seen[near], distances[near]
+    contested = np.flatnonzero((np.bincount(rows)[rows] > 1) | (np.bincount(seen)[seen] > 1))
+    taken = np.ones(len(rows), dtype=np.bool_)
+    taken[contested] = False
+    for some in np.split(contested, np.flatnonzero(np.diff(events[rows[contested]])) + 1):
+        (firsts, row), (seconds, column) = (np.unique(each[some], return_inverse=True) for each in (rows, seen))
+        gain = np.zeros((len(firsts), len(seconds)))
+        gain[row, column] = TRACK_GATE - distances[some]
+        chosen = np.zeros_like(gain, dtype=np.bool_)
+        chosen[linear_sum_assignment(gain, maximize=True)] = True
+        taken[some] = chosen[row, column]
+    return rows[taken], seen[taken]
 
 
-def match(pixels: Array, event: Event, gate: float) -> tuple[Integers, Integers]:
-    """Assign pixels (n, m or 1, 2) to an event's m detections one to one, at the least sum of squared distances.
+def detected_pixels(camera: Camera, states: Array, times: Array, delays: Array, travels: Array) -> Array:
+    """Undistorted pixels (n, 2) of objects, positions and velocities (n, 6), as detections after events (n,) show them.
 
-    They are Mahalanobis distances, within the gate; NaN is beyond it.
+    With a rolling shutter a detection is later than its event by the delay (n,) of its row. The pixels are those of the
+    camera at the event; that it travels (n, 3) until then is as if the objects moved the other way.
     """
-    difference = pixels - event.points
-    cost = np.fmin(np.einsum("nmi,mij,nmj->nm", difference, np.linalg.inv(event.covariances), difference), gate)
-    rows, columns = linear_sum_assignment(cost)
-    kept = cost[rows, columns] < gate
-    return rows[kept].astype(np.int64), columns[kept].astype(np.int64)
+    moved = states[:, :3] + delays[:, None] * states[:, 3:] - travels
+    return replace(camera, lens=Lens()).project_at(moved, times)
 
 
 def shared(trajectories: Integers, cameras: Integers, least: int) -> Booleans:
