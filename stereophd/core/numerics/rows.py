@@ -19,10 +19,16 @@ class ArrayRows:
 
     def take(self, rows: Any) -> Self:
         """Return some of the rows: a mask, indices in the order wanted, or a slice."""
-        taken = object.__new__(type(self))
-        # `replace` takes three times as long
+        taken, fields = object.__new__(type(self)), vars(self).items()
+        if isinstance(rows, np.ndarray) and rows.dtype == np.bool_:
+            rows = np.flatnonzero(rows)
+        # `take` copies short rows ten times as fast as an index does; `replace` takes three times as long
+        is_some = isinstance(rows, slice)
         vars(taken).update(
-            {name: value[rows] if isinstance(value, np.ndarray) else value for name, value in vars(self).items()}
+            {
+                name: value if not isinstance(value, np.ndarray) else value[rows] if is_some else value.take(rows, 0)
+                for name, value in fields
+            }
         )
         return taken
 

@@ -270,10 +270,12 @@ class MarginalPosterior:
         """
         values, noise = self.parted(unknowns)
         placement = self.linearisation.placed(values)
-        states, _, seen = settled_knots(self.linearisation, values, states, noise, KNOT_STEPS, settled, placement)
+        states, _, seen, factor = settled_knots(
+            self.linearisation, values, states, noise, KNOT_STEPS, settled, placement
+        )
         seen = self.linearisation.with_values(seen, values, states)
         equations = self.equations(unknowns, states, seen)
-        factor = factor_knots(equations.bands)
+        factor = factor_knots(equations.bands) if factor is None else factor
         volume = self._volume(unknowns, factor) + self._first_states(states)[0]
         return Point(unknowns, states, equations, factor, 0.5 * equations.cost + volume, seen)
 

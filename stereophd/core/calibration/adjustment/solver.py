@@ -135,20 +135,22 @@ def settled_knots(
     most: int = KNOT_STEPS,
     settled: float = KNOTS_SETTLED,
     placement: Placement | None = None,
-) -> tuple[Array, float, Seen]:
+) -> tuple[Array, float, Seen, Array | None]:
     """Minimise the cost by the knots (k, 2, 3) alone, until it would fall by no more than `settled`; no loss counts.
 
-    Also returns by how much the last step looked at would lower it, `settled` at most where the minimum was found, and
-    what is seen there, without derivatives by values.
+    Also returns by how much the last step looked at would lower it, `settled` at most where the minimum was found; what
+    is seen there, without derivatives by values; and the Cholesky factor (12, 6 k) of the matrix of the knots there, None
+    after the most steps.
     Raises LinAlgError when the matrix of the knots is not positive definite, or the cost is not finite.
     """
     placement = placement or linearisation.placed(values, by_values=False)
     cost, bands, vector, seen = linearisation.of_knots(values, states, noise, placement)
-    promised = np.inf
+    promised, factor = np.inf, None
     for _ in range(most):
         if not np.isfinite(cost):
             raise LinAlgError("the cost is not finite")
-        step = cho_solve_banded((factor_knots(bands), True), vector, check_finite=False)
+        factor = factor_knots(bands)
+        step = cho_solve_banded((factor, True), vector, check_finite=False)
         if (promised := float(vector @ step)) <= settled:
             break
         if promised <= KNOTS_NEAR:
@@ -163,7 +165,9 @@ def settled_knots(
         else:
             break
         states, (cost, bands, vector, seen) = moved, tried
-    return states, promised, seen
+    else:
+        factor = None
+    return states, promised, seen, factor
 
 
 def adjust(
@@ -231,7 +235,7 @@ def _followed(
     problem = linearisation.problem.weighted(linearisation.problem.weights(before.distances))
     weighted, settled = replace(linearisation, problem=problem), CONVERGED * max(before.cost, 1.0)
     try:
-        states, _, _ = settled_knots(weighted, values, states, STATED, FOLLOWING_STEPS, settled)
+        states, *_ = settled_knots(weighted, values, states, STATED, FOLLOWING_STEPS, settled)
     except LinAlgError:
         return values, states, after
     return values, states, linearisation.at(values, states)

@@ -17,7 +17,6 @@ from itertools import product
 from typing import NamedTuple, Self
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import solveh_banded
 
 from stereophd.core.arrays import Array, Integers
@@ -139,10 +138,14 @@ def _interpolated(knots: Knots, trajectories: Integers, times: Array, velocities
     motion, part = knots.motion, slice(3, 6) if velocities else slice(0, 3)
     between = motion.velocity_between if velocities else motion.between
     knot, single = np.empty(len(times), dtype=np.int64), (np.diff(knots.first) == 1)[trajectories]
-    weights, offsets = np.zeros((len(times), 4)), np.zeros((len(times), 3))
     _knots_before(knots.times, knots.first, trajectories, times, knot)
+    elapsed, following = times - knots.times[knot], np.minimum(knot + 1, len(knots.times) - 1)
+    step = np.where(single, 1.0, knots.times[following] - knots.times[knot])
+    weights, offsets = np.empty((len(times), 4)), np.empty((len(times), 3))
+    if not single.all():  # without noise nothing is between
+        weights, offsets = between(np.clip(elapsed, 0.0, step), step)
 
-    def alone(rows: NDArray[np.bool_], first: int, since: Array) -> None:
+    def alone(rows: Integers, first: int, since: Array) -> None:
         """From one knot on, whose position is the weight `first`."""
         flow = motion.flow(since[rows])
         weights[rows] = 0.0
@@ -150,13 +153,9 @@ def _interpolated(knots: Knots, trajectories: Integers, times: Array, velocities
         weights[rows, first + 1] = flow.keep * motion.moves if velocities else flow.reach
         offsets[rows] = flow.drift[:, part]
 
-    elapsed, following = times - knots.times[knot], np.minimum(knot + 1, len(knots.times) - 1)
-    step = np.where(single, 1.0, knots.times[following] - knots.times[knot])
-    inside = ~single & (elapsed >= 0.0) & (elapsed <= step)
-    weights[inside], offsets[inside] = between(elapsed[inside], step[inside])
     before = single | (elapsed < 0.0)
-    alone(before, 0, elapsed)
-    alone(~inside & ~before, 2, elapsed - step)
+    alone(np.flatnonzero(before), 0, elapsed)
+    alone(np.flatnonzero(~before & (elapsed > step)), 2, elapsed - step)
     return Interpolation(knot, weights, offsets)
 
 

@@ -169,7 +169,7 @@ def _adjusted_to_points(task: Task, answer: Fit, fit: Fit, points: ControlPoints
     )
     problem = problem_of(task, fit)
     alone = Linearisation.of(problem.weighted(problem.weights(answer.adjustment.distances)))
-    states, _, _ = settled_knots(alone, values, fit.adjustment.states)
+    states, *_ = settled_knots(alone, values, fit.adjustment.states)
     std = float(np.median(points.precisions[points.precisions > 0.0]) ** -0.5)
     of_values = covariance[: len(values), : len(values)]
     return at_values(task, fit, values, states, of_values), World(alignment, covariance, std)

@@ -47,7 +47,7 @@ ANNEALED_ITERATIONS = 30
 SETTLING_STEPS = 3
 # Step, in posterior standard deviations, at which the search for a joint or marginal optimum of a pass has settled.
 SETTLED_IN_PASSES = 1.0
-# Times at which the history holds the posterior, and the part of the log that each holds of that until the next one: the
+# Times at which the history holds the posterior, and the part of the log until each of that until the next one: the
 # deviations of what detections determine fall by as much from each to the next.
 HISTORY_TIMES, HISTORY_PART = 9, np.sqrt(0.5)
 # Passes in which fitted trajectories choose their detections.
@@ -298,15 +298,6 @@ def marginal_fit(task: Task, fit: Fit) -> Fit:
         return replace(fit, adjustment=replace(fit.adjustment, converged=False), held=None)
 
 
-def restated_fit(task: Task, chosen: Fit) -> Fit:
-    """`marginal_fit` of the detections that the trajectories of a marginal optimum have chosen.
-
-    The joint optimum of objects that manoeuvre is biased. It chooses detections that are biased alike, and its
-    residuals look like shared errors. The search goes on from the marginal optimum, with the noise of the task.
-    """
-    return marginal_fit(task, readjusted(task, chosen, still=True))
-
-
 def readjusted(task: Task, fit: Fit, still: bool = False) -> Fit:
     """Adjust a fit to its detections with the noise and the unknowns of a task; `still`: the cameras stay."""
     cameras = task.parameters.build(fit.adjustment.values)
@@ -353,7 +344,7 @@ def _settled(problem: Problem, values: Array, states: Array) -> Array:
     """
     with suppress(LinAlgError):
         squares = Linearisation.of(replace(problem, loss=SQUARED))
-        states, _, _ = settled_knots(squares, values, states, most=SETTLING_STEPS)
+        states, *_ = settled_knots(squares, values, states, most=SETTLING_STEPS)
     return states
 
 

@@ -74,7 +74,7 @@ def test_knots_settle_in_few_steps_where_one_camera_alone_sees_an_object() -> No
     rows = np.flatnonzero((observations.trajectories > 0) | (observations.cameras == 0) | (observations.times < 3.0))
     problem, states = problem_of(true, observations.take(rows), points[rows])
     linearisation, values = Linearisation.of(problem), np.zeros(true.size)
-    states, _, _ = settled_knots(linearisation, values, states)
+    states, *_ = settled_knots(linearisation, values, states)
     values = 0.3 * true.prior_std
     few, enough = (settled_knots(linearisation, values, states, most=most, settled=1e-12)[0] for most in (3, 100))
     cost = [linearisation.of_knots(values, knots)[0] for knots in (few, enough)]
@@ -170,9 +170,11 @@ def test_the_gradient_knows_how_the_knots_settle(monkeypatch: pytest.MonkeyPatch
     settled, root, missed = posterior.gradient(at), posterior.root(at), []
     away = np.random.default_rng(4).standard_normal(states.shape)
 
-    def as_they_are(linearisation: Linearisation, values: Array, knots: Array, *_: object) -> tuple[Array, float, Seen]:
+    def as_they_are(
+        linearisation: Linearisation, values: Array, knots: Array, *_: object
+    ) -> tuple[Array, float, Seen, None]:
         seen = linearisation.residuals(values, knots, linearisation.placed(values), by_values=False)
-        return knots, 0.0, seen
+        return knots, 0.0, seen, None
 
     monkeypatch.setattr(marginal, "settled_knots", as_they_are)
     for step in (1e-4, 1e-3):
