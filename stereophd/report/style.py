@@ -68,10 +68,16 @@ def save_figures(figures: Mapping[str, Figure], paths: Mapping[str, Path], **opt
 
 
 def _lay_out(figure: Figure) -> Bbox:
-    """Arrange a figure once, for all its files, each of which would do so again; return its extent, inches."""
-    if (engine := figure.get_layout_engine()) is not None:
-        engine.execute(figure)
-        figure.set_layout_engine(None)
+    """Arrange a figure once, for all its files, each of which would do so again; return its extent, inches.
+
+    Panels without a layout have fixed room, and only the title is beside them: to find out what they need takes as long
+    as a file.
+    """
+    if (engine := figure.get_layout_engine()) is None:
+        titles = [text.get_window_extent().transformed(figure.dpi_scale_trans.inverted()) for text in figure.texts]
+        return Bbox.union([figure.bbox_inches, *titles]).padded(MARGIN_IN)
+    engine.execute(figure)
+    figure.set_layout_engine(None)
     return figure.get_tightbbox().padded(MARGIN_IN)
 
 

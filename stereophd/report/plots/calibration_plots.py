@@ -41,7 +41,7 @@ def _drawn(parameters: ParameterSet, length_unit: str) -> list[tuple[float, str]
 
 
 def _grid(rows: int, columns: int, width: float, height: float, title: str) -> tuple[Figure, GridSpec]:
-    """Return a figure and its panels, which have fixed room: to find out what labels need takes as long as a file."""
+    """Return a figure and its panels, which have fixed room for what is to the left of each and below it."""
     figure, inner = style.new_figure(width * columns, height * rows), (width - LEFT_IN, height - BELOW_IN)
     figure.set_layout_engine(None)
     figure.suptitle(title, y=1.0 + BELOW_IN / (height * rows), verticalalignment="bottom")
@@ -89,7 +89,8 @@ def _draw_posterior(outcome: Outcome, length_unit: str) -> Figure:
             panel.tick_params(labelsize=6, labelbottom=i == count - 1, labelleft=j == 0)
             x = drawn[j][0] * particles[:, j]
             if i == j:
-                panel.hist(x, bins=40, weights=np.exp(outcome.log_weights), color=style.BLUE, alpha=0.7)
+                weights = np.exp(outcome.log_weights)
+                panel.hist(x, bins=40, weights=weights, color=style.BLUE, alpha=0.7, histtype="stepfilled", linewidth=0)
                 panel.set_yticks([])
             else:
                 y = factor * particles[:, i]

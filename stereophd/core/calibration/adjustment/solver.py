@@ -139,8 +139,8 @@ def settled_knots(
     """Minimise the cost by the knots (k, 2, 3) alone, until it would fall by no more than `settled`; no loss counts.
 
     Also returns by how much the last step looked at would lower it, `settled` at most where the minimum was found; what
-    is seen there, without derivatives by values; and the Cholesky factor (12, 6 k) of the matrix of the knots there, None
-    after the most steps.
+    is seen there, without derivatives by values; and the Cholesky factor (12, 6 k) of the matrix of the knots there,
+    None after the most steps.
     Raises LinAlgError when the matrix of the knots is not positive definite, or the cost is not finite.
     """
     placement = placement or linearisation.placed(values, by_values=False)

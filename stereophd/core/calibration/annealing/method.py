@@ -267,8 +267,8 @@ def believe(task: Task, fit: Fit, choices: Choices) -> Believed:
             task, noise = task.with_noise(factors, shared), noise * factors
             from_above |= hides
         if answer.adjustment.converged and not hides.any():
-            # the search goes on from the optimum: the joint one of objects that manoeuvre is biased. Detections that have
-            # been chosen are fitted already, but with independent errors of the noise before
+            # the search goes on from the optimum, as the joint one of objects that manoeuvre is biased. Detections that
+            # have been chosen are fitted already, but with independent errors of the noise before
             is_fitted = not (is_new or shared.any())
             again = marginal_fit(task, chosen if is_fitted else readjusted(task, chosen, still=True))
             if is_new or again.adjustment.converged:
