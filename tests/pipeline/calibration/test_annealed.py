@@ -61,6 +61,7 @@ def run_all(monkeypatch: pytest.MonkeyPatch) -> Callable[..., list[Start]]:
         taken: int = 0,
         explained: float = 0.1,
         may_refuse: bool = False,
+        processes: Callable[..., Any] | None = None,
     ) -> Any:
         begun = list[int]()
 
@@ -79,7 +80,7 @@ def run_all(monkeypatch: pytest.MonkeyPatch) -> Callable[..., list[Start]]:
             loaded=SimpleNamespace(config=SimpleNamespace(seed=1)), jobs=jobs, limit=Limit(begun, last),
             unfinished=unfinished, progress=lambda *_: None,
         )  # fmt: skip
-        monkeypatch.setattr(annealed, "worker_processes", lambda *_: nullcontext(map))
+        monkeypatch.setattr(annealed, "worker_processes", processes or (lambda *_: nullcontext(map)))
         found = annealed._all_starts(cast("CalibrationRun", of_run), cast("Task", task), may_refuse)
         return (found, begun) if pairings else found
 
@@ -109,6 +110,19 @@ def test_starts_of_one_pairing_are_followed_once(
     assert [one.number for one in starts] == list(range(len(places)))
     assert begun == expected
     assert {one.fit.adjustment.values[0] for one in starts if one.succeeded} == {places[k] for k in expected} - {None}
+
+
+def test_processes_begin_after_the_second_start(run_all: Any) -> None:
+    counts = list[int]()
+
+    def began(count: int, *_: Any) -> Any:
+        counts.append(count)
+        return nullcontext(map)
+
+    assert len(run_all([5.0, 5.0, *[None] * 6], jobs=3, processes=began)) == 2
+    assert not counts
+    assert len(run_all([5.0, None, None, 5.0, *[None] * 4], jobs=3, processes=began)) == 4
+    assert counts == [3]
 
 
 @pytest.mark.parametrize(

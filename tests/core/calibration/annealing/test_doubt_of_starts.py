@@ -21,7 +21,7 @@ from stereophd.core.calibration.annealing.method import (
     statement_remarks,
     why_none_succeeded,
 )
-from stereophd.core.calibration.annealing.starts import agree, best_of, distinct, rival_of, run_start
+from stereophd.core.calibration.annealing.starts import agree, best_of, compared, distinct, rival_of, run_start
 from stereophd.core.calibration.annealing.task import SUCCEEDED, Fit, Start, Task
 from stereophd.core.calibration.pairing.choice import Pairing
 from stereophd.core.calibration.settings import AnnealedSettings
@@ -118,6 +118,17 @@ def test_a_start_that_leaves_more_open_agrees_as_far_as_both_state() -> None:
     assert agree(best, other)
     assert agree(other, best)
     assert not agree(best, start(1, 2.3, std=3.0))
+
+
+def test_starts_have_evidence_where_they_do_not_agree(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(start_module, "evidence", lambda _, fit: -fit.adjustment.values[0])
+    task = cast("Task", None)
+    alike = [start(0, None), start(1, 5.0, np.nan), start(2, 5.0, np.nan)]
+    assert compared(task, alike) is alike
+    assert best_of(alike) is alike[1]
+    different = compared(task, [*alike, start(3, 9.0, np.nan), start(4, 5.0, -7.0)])
+    assert [one.log_evidence for one in different[1:]] == [-5.0, -5.0, -9.0, -7.0]
+    assert best_of(different) is different[1]
 
 
 def test_the_best_of_each_kind_is_distinct() -> None:

@@ -17,6 +17,7 @@ from stereophd.core.calibration.adjustment.track_moves import TrackMoves
 from stereophd.core.calibration.adjustment.trajectories import OF_ALL
 from stereophd.core.calibration.annealing import fits
 from stereophd.core.calibration.annealing.fits import (
+    HISTORY_PART,
     HISTORY_TIMES,
     adjusted_to,
     fit_from,
@@ -191,14 +192,19 @@ def test_the_history_ends_at_the_answer_and_is_wider_before(made: MadeUp, task: 
     *rows, last = history_of(task, answer, answer)
     np.testing.assert_array_equal(last.mean, answer.adjustment.values)
     assert np.all(np.diff([row.time_s for row in (*rows, last)]) > 0.0)
-    half, std = rows[HISTORY_TIMES // 2 - 1], np.sqrt(np.diag(answer.adjustment.covariance))
+    shares = (np.array([row.time_s for row in (*rows, last)]) - task.recording.times[0]) / np.ptp(task.recording.times)
+    np.testing.assert_allclose(shares, HISTORY_PART ** np.arange(HISTORY_TIMES)[::-1])
+    at = task.recording.times[-1] * np.array([0.3, 0.6])
+    asked = history_of(replace(task, history_times=at), answer, answer)
+    assert [row.time_s for row in asked] == [*at, last.time_s]
+    half, std = rows[-2], np.sqrt(np.diag(answer.adjustment.covariance))
     assert (np.diag(half.covariance)[1:] > 1.2 * std[1:] ** 2).all()  # the first is the scale, which nothing shows
     assert (np.abs(half.mean - made.truth) < 4.0 * np.sqrt(np.diag(half.covariance))).all()
 
 
 def test_each_row_of_the_history_is_the_optimum_of_the_log_so_far(task: Task, paired: Fit) -> None:
     answer = marginal_fit(task, paired)
-    for row in history_of(task, answer, answer)[3:-1:4]:
+    for row in history_of(task, answer, answer)[:-1:3]:
         part = part_of(task, answer, np.flatnonzero(answer.observations.times <= row.time_s))
         assert part is not None
         alone = marginal_fit(task, adjusted_to(task, part, part.observations, part.detections)).adjustment
