@@ -171,15 +171,20 @@ def settled_knots(
 
 
 def adjust(
-    problem: Problem, values: Array, states: Array, max_iterations: int = 200, settled: float = 0.0
+    problem: Problem,
+    values: Array,
+    states: Array,
+    max_iterations: int = 200,
+    settled: float = 0.0,
+    within_prior_only: bool = False,
 ) -> Adjustment:
     """Minimise from values (m,) and knots (k, 2, 3), trying about `max_iterations` steps at most.
 
     Converged when a step without damping promises to lower the cost by less than the part `CONVERGED` of it, and after
     one that moves the values by less than `settled` posterior standard deviations, whatever a stretch does that no
     other camera holds. Ends, too, where so many steps (`STALLED_STEPS`) do not lower it: at the edge of a lens the
-    slope promises what is not there. The covariance is that of the undamped equations; held values keep that of the
-    prior.
+    slope promises what is not there; and, `within_prior_only`, where a step leaves the prior. The covariance is that of
+    the undamped equations; held values keep that of the prior.
     """
     linearisation = Linearisation.of(problem)
     current = linearisation.at(values, states)
@@ -211,6 +216,8 @@ def adjust(
         if is_lower:
             longest = (LONGER if share == whole else 1.0) * share * length
             (values, states, current), damping = tried, damping / DAMPING_FACTOR
+            if within_prior_only and problem.parameters.prior_disagreement(values) is not None:
+                break
         else:
             damping = max(DAMPING_FACTOR * damping, FIRST_DAMPING)
         if converged := is_last:

@@ -318,7 +318,8 @@ def confirmed_fit(
     """
     states = _settled(problem, values, states)
     begun = _at(problem, values, states, noise)
-    joint = adjust(problem, values, states, ANNEALED_ITERATIONS, settled=SETTLED_IN_PASSES)
+    agrees = task.parameters.prior_disagreement(values) is None  # a search that goes on from outside may come back
+    joint = adjust(problem, values, states, ANNEALED_ITERATIONS, SETTLED_IN_PASSES, within_prior_only=agrees)
     weights = np.maximum(problem.weights(begun.distances), problem.weights(joint.distances))
     still = replace(problem.weighted(weights), held=np.ones(len(values), dtype=np.bool_))
     posterior = MarginalPosterior(Linearisation.of(still))
