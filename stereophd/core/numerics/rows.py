@@ -1,6 +1,7 @@
 """Rows of several arrays that belong together: some of them, or those of several tables; and sums of rows."""
 
 from dataclasses import replace
+from operator import itemgetter, methodcaller
 from typing import Any, Self
 
 import numpy as np
@@ -19,16 +20,13 @@ class ArrayRows:
 
     def take(self, rows: Any) -> Self:
         """Return some of the rows: a mask, indices in the order wanted, or a slice."""
-        taken, fields = object.__new__(type(self)), vars(self).items()
         if isinstance(rows, np.ndarray) and rows.dtype == np.bool_:
             rows = np.flatnonzero(rows)
-        # `take` copies short rows ten times as fast as an index does; `replace` takes three times as long
-        is_some = isinstance(rows, slice)
+        # `take` copies short rows ten times as fast as an index does, and `replace` takes three times as long
+        some = itemgetter(rows) if isinstance(rows, slice) else methodcaller("take", rows, 0)
+        taken = object.__new__(type(self))
         vars(taken).update(
-            {
-                name: value if not isinstance(value, np.ndarray) else value[rows] if is_some else value.take(rows, 0)
-                for name, value in fields
-            }
+            {name: some(value) if isinstance(value, np.ndarray) else value for name, value in vars(self).items()}
         )
         return taken
 

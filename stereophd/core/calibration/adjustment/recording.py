@@ -189,6 +189,11 @@ class Scans:
         return np.repeat(np.arange(len(self.times)), np.diff(self.first))
 
     @cached_property
+    def precisions(self) -> Array:
+        """Inverse covariance (n, 2, 2) of each detection."""
+        return np.asarray(np.linalg.inv(self.covariances), dtype=np.float64)
+
+    @cached_property
     def detection_times(self) -> Array:
         """Time (n,) of each detection, s: of its frame, and with a rolling shutter of its row."""
         return self.times[self.event_of] + np.nan_to_num(self.delays)

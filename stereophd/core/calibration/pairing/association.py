@@ -21,6 +21,8 @@ from stereophd.wording import percent
 TRACK_GATE = 9.0
 # Frames after which progress is reported.
 REPORTED_EVERY = 50
+# Pairs of a track and a detection that are compared at once.
+MOST_PAIRS = 500_000
 # Tracks of a smaller existence are not asked.
 LEAST_EXISTENCE = 0.6
 
@@ -81,10 +83,12 @@ def track_detections(multi_filter: PmbFilter, scans: Scans, inflation: float) ->
         names.append(estimates.track_ids[sure])
         positions.append(estimates.states[sure])
         variances.append(np.trace(estimates.covariances[sure, :3, :3], axis1=1, axis2=2))
-    states = np.concatenate(positions)
-    rows, detections = matched(
-        multi_filter.rig.cameras, np.repeat(np.arange(len(counts)), counts), states, scans, inflation
-    )
+    states, events = np.concatenate(positions), np.repeat(np.arange(len(counts)), counts)
+    batch = np.cumsum(counts * np.diff(scans.first))[events] // MOST_PAIRS
+    batches = np.split(np.arange(len(events)), np.flatnonzero(np.diff(batch)) + 1)
+    pairs = [matched(multi_filter.rig.cameras, events[some], states[some], scans, inflation) for some in batches]
+    rows = np.concatenate([some[row] for some, (row, _) in zip(batches, pairs, strict=True)])
+    detections = np.concatenate([seen for _, seen in pairs])
     _, tracks = np.unique(np.concatenate(names)[rows], return_inverse=True)
     order = np.lexsort((detections, tracks))
     rows, detections, tracks = rows[order], detections[order], tracks[order]
@@ -101,14 +105,12 @@ def matched(
     counts = np.diff(scans.first)[events]
     rows = np.repeat(np.arange(len(events)), counts)
     seen = np.arange(len(rows)) + np.repeat(scans.first[events] - np.cumsum(counts) + counts, counts)
-    errors, delays, travels = -scans.points[seen], np.nan_to_num(scans.delays), np.nan_to_num(scans.travels)
+    times, of_camera, errors = scans.times[events[rows]], scans.cameras[events[rows]], -scans.points[seen]
+    delays, travels = np.nan_to_num(scans.delays[seen]), np.nan_to_num(scans.travels[seen])
     for number, camera in enumerate(cameras):
-        own = np.flatnonzero(scans.cameras[events[rows]] == number)
-        at = seen[own]
-        errors[own] += detected_pixels(
-            camera, states[rows[own]], scans.times[scans.event_of[at]], delays[at], travels[at]
-        )
-    distances = np.einsum("ni,nij,nj->n", errors, np.linalg.inv(scans.covariances)[seen], errors) / inflation**2
+        own = np.flatnonzero(of_camera == number)
+        errors[own] += detected_pixels(camera, states[rows[own]], times[own], delays[own], travels[own])
+    distances = np.einsum("ni,nij,nj->n", errors, scans.precisions[seen], errors) / inflation**2
     near = distances < TRACK_GATE
     rows, seen, distances = rows[near], seen[near], distances[near]
     contested = np.flatnonzero((np.bincount(rows)[rows] > 1) | (np.bincount(seen)[seen] > 1))
