@@ -171,13 +171,9 @@ def settled_knots(
 
 
 def adjust(
-    problem: Problem,
-    values: Array,
-    states: Array,
-    max_iterations: int = 200,
-    settled: float = 0.0,
+    problem: Problem, values: Array, states: Array, max_iterations: int = 200, settled: float = 0.0,
     within_prior_only: bool = False,
-) -> Adjustment:
+) -> Adjustment:  # fmt: skip
     """Minimise from values (m,) and knots (k, 2, 3), trying about `max_iterations` steps at most.
 
     Converged when a step without damping promises to lower the cost by less than the part `CONVERGED` of it, and after

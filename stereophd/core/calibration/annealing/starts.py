@@ -213,11 +213,10 @@ def compared(task: Task, starts: list[Start]) -> list[Start]:
     succeeded = [start for start in starts if start.succeeded]
     if all(agree(succeeded[0], other) for other in succeeded[1:]):
         return starts
-    lacking = [start.succeeded and bool(np.isnan(start.log_evidence)) for start in starts]
     return [
-        replace(start, log_evidence=evidence(task, start.fit)) if lacks and start.fit else start
-        for start, lacks in zip(starts, lacking, strict=True)
-    ]
+        start if start.fit is None or not start.succeeded or not np.isnan(start.log_evidence)
+        else replace(start, log_evidence=evidence(task, start.fit)) for start in starts
+    ]  # fmt: skip
 
 
 def best_of(starts: list[Start]) -> Start | None:

@@ -332,3 +332,15 @@ def test_a_value_known_to_nothing_of_its_prior_leaves_the_others_their_covarianc
     determinant = 1e8 * 1.5 - 3e3**2
     expected = np.array([[1.5, -3e3], [-3e3, 1e8]]) / determinant
     np.testing.assert_allclose(within_prior(precision, np.array([1e13, 1.0])), expected, rtol=1e-9)
+
+
+def test_a_search_that_does_not_count_beyond_the_prior_ends_there() -> None:
+    problem, found = solve(make_problem(1))
+    narrow = tuple(replace(one, std=1e-3 * one.std) for one in problem.parameters.parameters)
+    problem = replace(problem, parameters=replace(problem.parameters, parameters=narrow))
+    start = np.zeros(problem.parameters.size)
+    ended, whole = (adjust(problem, start, found.states, within_prior_only=only) for only in (True, False))
+    assert problem.parameters.prior_disagreement(ended.values) is not None
+    assert not ended.converged
+    assert whole.converged
+    assert whole.cost < ended.cost
