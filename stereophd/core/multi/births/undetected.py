@@ -117,12 +117,12 @@ def prune_weight_for_births(stated: float, births: float, p_detect: float, clutt
 
 @compiled
 def prune_weight_in_crowd(
-    before: float, recycle_below: float, peak: float, p_detect: float, clutter: float, weights: Array
+    before: float, stated: float, peak: float, p_detect: float, clutter: float, weights: Array
 ) -> float:
     """Return the pruning weight of a reduction of thousands of components, which ends what will not grow.
 
     It is at least `NEWBORN_SHARE` of the weight of a newborn, and `CROWD_SHARE` where components are more than
-    `CROWDED` for each expected object, but no more than `recycle_below`. What is lighter tells less than the next
+    `CROWDED` for each expected object, but no more than `stated`. What is lighter tells less than the next
     detection of a new object will. Among thousands of detections it would never end: each event shares it out among
     those that are near by chance, and every share is another component.
 
@@ -134,7 +134,7 @@ def prune_weight_in_crowd(
     if born <= 0.0:
         return before
     share = CROWD_SHARE if len(weights) > CROWDED * weights.sum() else NEWBORN_SHARE
-    return max(before, min(share * born / (born + clutter), recycle_below))
+    return max(before, min(share * born / (born + clutter), stated))
 
 
 def undetected_shares(rig: Rig, prior: BirthPrior) -> Array:
