@@ -94,7 +94,7 @@ def _likeliest(outcomes: Outcomes, index: Integers, member: Integers, existence:
     heads = np.full(len(existence), -1)
     for k in range(len(weights)):
         # with what it got, a missed hypothesis may be one of the heaviest
-        kept[k] = kept[k] or (k < n_components and weights[k] >= lightest)
+        kept[k] = kept[k] or (k < n_components and weights[k] >= lightest and existence[member[k]] > 0.0)
     for k in index:
         head = heads[member[k]]
         if head < 0 or weights[k] > weights[head]:

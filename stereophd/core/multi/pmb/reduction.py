@@ -31,45 +31,25 @@ LAST = np.iinfo(np.int64).max
 def reduce_tracks(mixture: GaussianMixture, known: Existences, settings: PmbReduction) -> tuple[GaussianMixture, float]:
     """Reduce a mixture after an update, of tracks of a known existence.
 
-    Returns tracks, ordered by label and then by falling weight, and the sum of their existences.
+    What was dropped of a track goes to its other hypotheses. Returns tracks, ordered by label and then by falling
+    weight, and the sum of their existences.
     """
-    member = np.searchsorted(known.names, mixture.labels)
-    index, weights = _drop_negligible(mixture, member, known.existence, settings.prune_weight, settings.least_share)
-    hypotheses = _merge_hypotheses(mixture, index, weights, settings.hypothesis_distance)
+    member, weights = np.searchsorted(known.names, mixture.labels), mixture.weights.copy()
+    remains = np.zeros(len(known.existence))
+    for k in range(len(member)):
+        remains[member[k]] += weights[k]
+    for k in range(len(member)):
+        weights[k] *= min(known.existence[member[k]], MOST_EXISTENCE) / remains[member[k]]
+    hypotheses = _merge_hypotheses(mixture, weights, settings.hypothesis_distance)
     out = _join_tracks(hypotheses, settings.merge_distance, settings.hypothesis_distance)
     return out, out.weights.sum()
 
 
 @compiled
-def _drop_negligible(
-    mixture: GaussianMixture, member: Integers, existence: Array, prune_weight: float, least_share: float
-) -> tuple[Integers, Array]:
-    """Hypotheses worth keeping, and their weights; what is dropped of a track goes to its others: existence stays."""
-    weights = mixture.weights
-    remains = np.zeros(len(existence))
-    index = np.empty(len(member), dtype=np.int64)
-    count = 0
-    for k in range(len(member)):
-        whole = existence[member[k]]
-        if weights[k] >= least_share * whole and whole >= prune_weight:
-            index[count] = k
-            count += 1
-            remains[member[k]] += weights[k]
-    kept_weights = np.empty(count)
-    for i in range(count):
-        g = member[index[i]]
-        kept_weights[i] = weights[index[i]] * (min(existence[g], MOST_EXISTENCE) / remains[g])
-    return index[:count], kept_weights
-
-
-@compiled
-def _merge_hypotheses(mixture: GaussianMixture, index: Integers, given: Array, distance: float) -> GaussianMixture:
-    """Merge hypotheses of one label that agree; ordered by label, then by falling weight.
-
-    The hypotheses are those components of a mixture that have these indices, with the weights given.
-    """
-    order = order_by_label(given, picked(mixture.labels, index))
-    found = take_components(mixture, picked(index, order))
+def _merge_hypotheses(mixture: GaussianMixture, given: Array, distance: float) -> GaussianMixture:
+    """Merge hypotheses of one label that agree, with the weights given; ordered by label, then by falling weight."""
+    order = order_by_label(given, mixture.labels)
+    found = take_components(mixture, order)
     _, means, covariances, cameras, times, labels, tracks, reported = found
     weights = picked(given, order)
     found = GaussianMixture(weights, *found[1:])
@@ -136,7 +116,7 @@ def _join_tracks(mixture: GaussianMixture, distance: float, hypothesis_distance:
         existence[member[k]] += weights[k]
     for k in range(len(weights)):
         weights[k] /= max(existence[member[k]], 1.0)
-    return _merge_hypotheses(mixture, np.arange(len(weights)), weights, hypothesis_distance)
+    return _merge_hypotheses(mixture, weights, hypothesis_distance)
 
 
 @compiled
