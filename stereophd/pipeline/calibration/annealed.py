@@ -72,7 +72,6 @@ def annealed_outcome(run: CalibrationRun) -> Outcome:
     details: dict[str, Any] = {
         "starts": [*failed, *(_start_report(task, start, best) for start in starts)],
         "agreeing_starts": agreeing_with_best(starts),
-        "stages": [list(stage.names) for stage in task.stages],
         "input": {**problem.counts, **part_used(problem, task)},
     }
     if (offset_places(problem.parameters) >= 0).any():

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import LinAlgError
 
-from stereophd.core.arrays import Array, Booleans, Integers
+from stereophd.core.arrays import Array, Integers
 from stereophd.core.calibration.adjustment import normal_equations
 from stereophd.core.calibration.adjustment.linearisation import Linearisation
 from stereophd.core.calibration.adjustment.marginal import MarginalPosterior, marginal_optimum
@@ -110,13 +110,11 @@ def with_clocks(task: Task, draws: Array) -> Array:
     return draws
 
 
-def tracked_fit(
-    task: Task, values: Array, inflation: float, held: Booleans | None = None, ratio: float = 1.0, noise: Array = STATED
-) -> Fit | None:
+def tracked_fit(task: Task, values: Array, inflation: float, ratio: float = 1.0, noise: Array = STATED) -> Fit | None:
     """Track with the cameras of `values` and inflated noise, and adjust to the shared tracks, if any.
 
-    `held` (m,) are values that stay; the filter gets the cameras enlarged by `ratio` (`annealing.tracking_scale`). The
-    noise (6,) of the motion is looked for from the given one on.
+    The filter gets the cameras enlarged by `ratio` (`annealing.tracking_scale`). The noise (6,) of the motion is looked
+    for from the given one on.
     """
     cameras = task.parameters.build(values)
     scans = task.tracked_scans(cameras)
@@ -131,7 +129,7 @@ def tracked_fit(
     knots = _knots(task, observations, points, values, noise)
     precision = ratio**2 / np.maximum(found.variances[rows], 1e-12)
     states = fit_states(knots, *interpolation(knots, tracks, observations.times), points, precision)
-    problem = Problem(task.parameters, task.reference, knots, observations, ANNEALED_LOSS, task.scale, held)
+    problem = Problem(task.parameters, task.reference, knots, observations, ANNEALED_LOSS, task.scale)
     return confirmed_fit(task, problem, values, states, detections, noise)
 
 

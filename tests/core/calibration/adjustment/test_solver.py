@@ -332,3 +332,16 @@ def test_a_value_known_to_nothing_of_its_prior_leaves_the_others_their_covarianc
     determinant = 1e8 * 1.5 - 3e3**2
     expected = np.array([[1.5, -3e3], [-3e3, 1e8]]) / determinant
     np.testing.assert_allclose(within_prior(precision, np.array([1e13, 1.0])), expected, rtol=1e-9)
+
+
+def test_held_values_stay_and_keep_the_covariance_of_the_prior() -> None:
+    made = make_problem(1, objects=4)
+    problem, found = solve(made)
+    held = np.array([True, False, False, False, False, True])
+    begin = np.where(held, 0.3 * problem.parameters.prior_std, found.values)
+    fixed = adjust(replace(problem, held=held), begin, found.states)
+    assert (fixed.values[held] == begin[held]).all()
+    assert (fixed.values[~held] != begin[~held]).all()
+    np.testing.assert_allclose(np.diag(fixed.covariance)[held], problem.parameters.prior_std[held] ** 2)
+    assert (fixed.covariance[np.ix_(held, ~held)] == 0.0).all()
+    assert fixed.cost >= found.cost - 1e-9
