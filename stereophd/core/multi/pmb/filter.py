@@ -26,9 +26,8 @@ from stereophd.core.disparity.moved import Moved
 from stereophd.core.motion.arrays import MotionArrays
 from stereophd.core.multi.association.attribution import Claims, claims_of, detected_labels
 from stereophd.core.multi.association.exact_association import association_marginals
-from stereophd.core.multi.association.likelihoods import FEW_COMPONENTS
 from stereophd.core.multi.base import DisparityFilter, FilterState, Prediction, most_components
-from stereophd.core.multi.births.undetected import Undetected, prune_weight_for_births, prune_weight_in_crowd
+from stereophd.core.multi.births.undetected import Undetected, prune_weight_for_births
 from stereophd.core.multi.camera_hypotheses.batch_kernels import update_batch
 from stereophd.core.multi.extract import Report, Selection, select_objects
 from stereophd.core.multi.filter_settings.pmb import PmbSettings
@@ -223,15 +222,12 @@ def _update(
     """`associate_tracks`, which labels were detected and by which detections, and `reduce_tracks`.
 
     The numbers are those without births, and `born` has the births and the burst of clutter; `peak` is that of the
-    camera before the event (`Undetected`). The pruning weight is the one stated, or that of the births.
+    camera before the event (`Undetected`). The pruning weight is the one stated, or that of the births: of cameras that
+    take their frames at one time the first expects all new objects, and the last next to none.
     """
     births, burst = born
     event, numbers = with_newborns(detected, prior, mixture.means.shape[1]), with_births(bare, births, burst)
-    weight = prune_weight_for_births(stated.prune_weight, births, bare.p_detect, bare.clutter)
-    if len(mixture.weights) > FEW_COMPONENTS:
-        weight = prune_weight_in_crowd(
-            weight, stated.prune_weight, max(births, peak), bare.p_detect, bare.clutter, mixture.weights
-        )  # fmt: skip
+    weight = prune_weight_for_births(stated.prune_weight, max(births, peak), bare.p_detect, bare.clutter)
     reduction = PmbReduction(weight, *stated[1:])
     outcomes, log_likelihood, forgotten = associate_tracks(mixture, moved, event, numbers, reduction.prune_weight)
     known, weights, made = outcomes.labels, outcomes.weights, outcomes.made
