@@ -24,7 +24,6 @@ class PhdReduction(NamedTuple):
     prune_weight: float
     merge_distance: float
     max_components: int
-    mutual: bool
     by_label: bool
 
 
@@ -148,9 +147,7 @@ def reduce_intensity(mixture: GaussianMixture, shares: Array, settings: PhdReduc
     order = picked(heavy, stable_order(-picked(mixture.weights, heavy)))
     reduced = take_components(mixture, order)
     if settings.merge_distance > 0.0 and len(reduced.weights) > 1:
-        weights, means, covariances, leaders = merge_sorted(
-            reduced, picked(shares, order), settings.merge_distance, settings.mutual
-        )
+        weights, means, covariances, leaders = merge_sorted(reduced, picked(shares, order), settings.merge_distance)
         reduced = GaussianMixture(
             weights, means, covariances, reduced.cameras[leaders], reduced.times[leaders], reduced.labels[leaders],
             reduced.tracks[leaders], reduced.reported[leaders]

@@ -67,7 +67,7 @@ def _merge_hypotheses(mixture: GaussianMixture, given: Array, distance: float) -
             merged += 1
         else:
             # what is written lies before what is still to be read
-            w, m, c, heaviest = merge_sorted(slice_components(found, start, end), weights[start:end], distance, True)
+            w, m, c, heaviest = merge_sorted(slice_components(found, start, end), weights[start:end], distance)
             for i in range(len(w)):
                 weights[merged] = w[i]
                 copy_gaussian(m, c, i, means, covariances, merged)

@@ -104,6 +104,6 @@ class TextbookPmb:
             after.append((min(existence, 1.0), *mixed([(still, m, p), *shares])))
         for j, z in enumerate(detections):
             after.append((unclaimed[j] * born / other, np.concatenate([z, self.birth_mean]), self.birth_covariance))
-        strong = reduce([c for c in after if c[0] >= self.prune], 0.0, self.merge, 10**6, mutual=True)
+        strong = reduce([c for c in after if c[0] >= self.prune], 0.0, self.merge, 10**6)
         self.tracks = [(min(r, 1.0), m, p) for r, m, p in strong]
         return float(log_likelihood)
