@@ -190,7 +190,6 @@ def test_where_no_start_succeeds_what_nobody_measured_is_unknown(
         return [start(0, None)]
 
     monkeypatch.setattr(annealed, "_task", lambda _: SimpleNamespace())
-    monkeypatch.setattr(annealed, "_clock_report", lambda _: {})
     monkeypatch.setattr(annealed, "part_used", lambda *_: {})
     monkeypatch.setattr(annealed, "_start_report", lambda *_: {})
     monkeypatch.setattr(annealed, "_all_starts", fail)

@@ -15,7 +15,6 @@ from stereophd.core.calibration.adjustment.recording import Recording, Scans
 from stereophd.core.calibration.adjustment.solver import Adjustment
 from stereophd.core.calibration.adjustment.trajectories import Knots, MotionNoise
 from stereophd.core.calibration.pairing.choice import Pairing
-from stereophd.core.calibration.pairing.clock_search import ClockOffsets, offset_places, search_offsets
 from stereophd.core.calibration.pairing.track_pairs import TrackPairs, make_pairs, one_camera_tracks
 from stereophd.core.calibration.settings import AnnealedSettings
 from stereophd.core.calibration.time_limit import ENDLESS, TimeLimit
@@ -49,8 +48,7 @@ def parts_of(
     share = min(fitted, tracked)
     if share >= 1.0 or not frames:
         return parts
-    clocks = offset_places(parameters)
-    apart = float(parameters.prior_std[clocks[clocks >= 0]].max(initial=0.0))
+    apart = float(parameters.clock_offset_stds.max(initial=0.0))
     period = float(recording.periods(len(parameters.cameras)).max())
     length = STRETCH * max(settings.min_detections, apart / period if period > 0.0 else 0.0)
     if length * period <= share * float(recording.times[-1] - recording.times[0]):
@@ -76,7 +74,6 @@ class Task:
     pairs: TrackPairs  # Which of them may be one object
     scale: ScaleMeasurement | None
     settings: AnnealedSettings
-    clocks: ClockOffsets  # Offsets of unknown clocks by the motion that the tracks show
     limit: TimeLimit = ENDLESS
     threads: int = 1  # Of what is computed side by side from an answer
     # (c,): Part of the noise's variance that detections of a cell share (`adjustment.noise`); default none.
@@ -120,9 +117,8 @@ class Task:
             tried.append((followed * len(part.pixels), part, frames, scans, tracking, tracks))
         _, part, frames, scans, tracking, tracks = max(tried, key=itemgetter(0))
         pairs = make_pairs(parameters, tracking, tracks)
-        clocks = search_offsets(parameters, pairs.raw)
         return cls(
-            parameters, reference, multi_filter, part, frames, scans, tracking, tracks, pairs, scale, settings, clocks
+            parameters, reference, multi_filter, part, frames, scans, tracking, tracks, pairs, scale, settings
         )  # fmt: skip
 
     def with_noise(self, factors: Array | float, shared: Array | None = None) -> Self:
