@@ -3,7 +3,7 @@
 from collections.abc import Iterator
 from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 
-from annotated_types import Interval, Len
+from annotated_types import Interval
 from pydantic import BeforeValidator, Field, create_model, model_validator
 
 from stereophd.core.calibration.settings import AnnealedSettings, SequentialSettings, TemperedSettings
@@ -157,12 +157,6 @@ class CalibrationConfig(Model):
     )
     shared: list[list[str]] = parameter(
         "groups of cameras with one lens and one set of intrinsics, such as [[cam0, cam1]]", default_factory=list
-    )
-    stages: Literal["auto"] | list[Annotated[list[str], Len(1)]] = parameter(
-        "unknowns that are freed stage by stage while tracking from cameras that pair no tracks, such as "
-        "[[center, rotation, clock_offset], [focal]], the rest last; auto: poses and clocks, focal lengths and k1, the "
-        "rest",
-        default="auto",
     )
     model: Literal["as_stated", "lenses", "free"] = parameter(
         "what is estimated although it is stated as known, where the data contradict it: nothing; images as makers "

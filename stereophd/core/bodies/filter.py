@@ -186,7 +186,7 @@ class BodyFilter:
         with np.errstate(over="ignore"):
             masses = weights[pairs.rows] * detection[pairs.rows] * np.exp(np.minimum(pairs.log_odds, 500.0)) / clutter
         # a new track whose box others claim with odds m exists with a probability of the order of 1 / m: it is pruned
-        claimed = np.bincount(pairs.columns, masses, len(boxes)) * self.settings.recycle_below > 1.0
+        claimed = np.bincount(pairs.columns, masses, len(boxes)) * self.settings.prune_weight > 1.0
         newborns, born = self._newborns(boxes, ~claimed, camera, births * detector.p_detect / clutter)
         stays = STAYING_SHARE * self._is_in_other_views(newborns, event) * ~claimed
 

@@ -75,7 +75,7 @@ def reduce_hypotheses(
     best = np.zeros(n_tracks)
     np.maximum.at(best, owners[is_body], weights[is_body])
     kept |= is_body & (weights == best[owners]) & (weights > 0.0)
-    kept &= existence[owners] >= settings.recycle_below
+    kept &= existence[owners] >= settings.prune_weight
     hypotheses = hypotheses.take(kept)
     hypotheses = hypotheses.take(np.lexsort((-hypotheses.weights, hypotheses.owners)))
     first = hypotheses.first()
@@ -98,7 +98,7 @@ def reduce_hypotheses(
     scales[1, tracks] = 1.0 - np.maximum(least - exclusive, 0.0) / np.maximum(false, 1e-300)
     weights = weights * scales[(hypotheses.views >= 0).astype(np.int64), hypotheses.owners]
     existence = np.bincount(hypotheses.owners, weights, n_tracks).astype(np.float64)
-    tracks = tracks[existence[tracks] >= settings.recycle_below]
+    tracks = tracks[existence[tracks] >= settings.prune_weight]
     if settings.max_components is not None and len(tracks) > settings.max_components:
         tracks = np.sort(tracks[np.argsort(-existence[tracks], kind="stable")[: settings.max_components]])
     number = np.full(n_tracks, -1)

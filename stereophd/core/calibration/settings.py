@@ -4,7 +4,7 @@ from typing import Annotated, Literal
 
 from annotated_types import Interval, Len
 
-from stereophd.core.settings import FINITE, LARGEST_COUNT, Count, DegreesSpread, Fraction, Length, parameter, settings
+from stereophd.core.settings import FINITE, LARGEST_COUNT, Count, Fraction, parameter, settings
 
 # Factors on the noise of the detections, pass by pass.
 Inflation = Annotated[tuple[Annotated[float, Interval(ge=1, le=1e6), FINITE], ...], Len(1, 1000)]
@@ -87,20 +87,10 @@ class SequentialSettings:
     roughening: Annotated[float, Interval(ge=0, le=1e3), FINITE] = parameter(
         "after resampling, jitter of this factor times range times particles^(-1/parameters) (moves: none)", default=0.2
     )
-    center_noise: Length = parameter(
-        "random walk of the camera's centre (moves: none)", default=0.0, unit="length per sqrt(s)"
-    )
-    rotation_noise_deg: DegreesSpread = parameter(
-        "random walk of its rotation (moves: none)", default=0.0, unit="degrees per sqrt(s)"
-    )
     likelihood: Literal["pmb", "phd"] = parameter("multi-object likelihood that weights the particles", default="pmb")
     samples: Annotated[int, Interval(ge=16, le=65536)] = parameter(
         "samples per Gaussian of the particle move of likelihood phd", default=100
     )
-
-    def __post_init__(self) -> None:
-        if self.moves == "rerun" and (self.center_noise > 0.0 or self.rotation_noise_deg > 0.0):
-            raise ValueError("expected moves: none with center_noise or rotation_noise_deg, found moves: rerun")
 
 
 @settings

@@ -14,7 +14,7 @@ from stereophd.core.arrays import Array, Integers
 from stereophd.core.disparity.world_moments import world_components
 from stereophd.core.motion.arrays import MotionArrays
 from stereophd.core.multi.state.estimates import Estimates
-from stereophd.core.multi.state.mixture import UNLABELLED, GaussianMixture, order_by_label
+from stereophd.core.multi.state.mixture import UNREPORTED, GaussianMixture, order_by_label
 from stereophd.core.numerics.compilation.compiled import compiled
 from stereophd.core.numerics.moments import add_part
 from stereophd.core.numerics.sorting import picked, places, stable_order
@@ -151,20 +151,17 @@ def _select(
     confirm, release, tentative, split, next_label, next_track = report
     labels, tracks, reported = changed
     order = order_by_label(weights, known)
-    for k in range(len(labels)):
-        if labels[k] == UNLABELLED:
-            tracks[k], reported[k] = UNLABELLED, False
     for i in range(1, len(order)):
         k = order[i]
         if split and known[k] == known[order[i - 1]] and weights[k] >= confirm:
-            labels[k], tracks[k], reported[k] = next_label, UNLABELLED, False
+            labels[k], tracks[k], reported[k] = next_label, UNREPORTED, False
             next_label += 1
     if split:
         order = picked(order, stable_order(picked(labels, order)))
     chosen, start = 0, 0
     while start < len(order):
         label, end = labels[order[start]], start
-        total, track, was_reported = 0.0, UNLABELLED, False
+        total, track, was_reported = 0.0, UNREPORTED, False
         while end < len(order) and labels[order[end]] == label:
             # any part of a label may carry its identity: the heaviest may come from a merged newborn
             k = order[end]

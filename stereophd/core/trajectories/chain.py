@@ -115,11 +115,6 @@ class WholeRun:
         out[seen] = np.where(near, densities + self._log_odds[0][self.looks[event]], -np.inf).reshape(len(seen), count)
         return out
 
-    def squared_residuals(self, events: Integers, states: Array, detections: Integers) -> Array:
-        """Squared residuals (n,) of detections (n,) of events (n,) from states (n, 6), in units of their noise."""
-        points, _ = self.project(events, states, detections)
-        return squared_distances(self.points[detections] - points, self.noises[detections])[0]
-
     def log_odds(self, events: Integers, detections: Integers, states: Array) -> float:
         """Log-likelihood of detections and misses of a track but for the densities of its pixels."""
         hits, misses = self._log_odds

@@ -34,7 +34,6 @@ from stereophd.core.calibration.annealing.starts import (
     start_values,
 )
 from stereophd.core.calibration.annealing.task import Start, Task
-from stereophd.core.calibration.pairing.clock_search import offset_places
 from stereophd.core.calibration.unknowns.held import with_unmeasured
 from stereophd.core.calibration.unknowns.observability import laplace_draws
 from stereophd.core.calibration.unknowns.parameters import ParameterSet
@@ -59,7 +58,7 @@ def annealed_outcome(run: CalibrationRun) -> Outcome:
     """
     problem, section, stated = run.problem, run.section, run.problem.parameters.size
     run.limit.begin("one-camera tracks are made")
-    is_timed = not (offset_places(problem.parameters) >= 0).any()
+    is_timed = not problem.parameters.clock_offset_stds.any()
     task, unmeasured = _task(run), _unmeasured(run)
     starts, failed = _all_starts(run, task, unmeasured.size > stated), list[dict[str, Any]]()
     if best_of(starts) is None and unmeasured.size > stated and not run.limit.is_over:
@@ -73,11 +72,8 @@ def annealed_outcome(run: CalibrationRun) -> Outcome:
     details: dict[str, Any] = {
         "starts": [*failed, *(_start_report(task, start, best) for start in starts)],
         "agreeing_starts": agreeing_with_best(starts),
-        "stages": [list(stage.names) for stage in task.stages],
         "input": {**problem.counts, **part_used(problem, task)},
     }
-    if (offset_places(problem.parameters) >= 0).any():
-        details["clocks"] = _clock_report(task)
     if best is None:
         return Outcome.of_none(problem.parameters, why_none_succeeded(starts, is_timed, run.is_searched), details)
     result = calibrated(task, starts, replace(choices_of(section), control=problem.control))
@@ -187,18 +183,6 @@ def _next_starts(
         # one before it may have ended at another than its first pairing: processes decide about none
         before = followed_before(task, starts, place, pairings[place])
         yield before or own or run_start(task, place, values[place], pairings[place])
-
-
-def _clock_report(task: Task) -> dict[str, Any]:
-    """Offsets of unknown clocks by the speed profiles of one-camera tracks, and what motion does not show."""
-    out: dict[str, Any] = {}
-    for camera, place, offset, score in zip(
-        task.parameters.cameras, offset_places(task.parameters), task.clocks.offsets, task.clocks.scores, strict=True
-    ):
-        if place >= 0:
-            shown = bool(score > 0.0)
-            out[camera.name] = {"shown_by_motion": shown, "offset_s": float(offset) if shown else None, "score": score}
-    return out
 
 
 def _start_report(task: Task, start: Start, best: Start | None) -> dict[str, Any]:

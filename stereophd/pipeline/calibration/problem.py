@@ -20,7 +20,6 @@ from stereophd.core.calibration.annealing.task import Fit, Task
 from stereophd.core.calibration.time_limit import ENDLESS, TimeLimit
 from stereophd.core.calibration.unknowns.parameters import ParameterSet
 from stereophd.core.calibration.unknowns.scale import ScaleMeasurement
-from stereophd.core.calibration.unknowns.unknown_sets import UnknownSet, default_stages, stages_named
 from stereophd.core.geometry.camera import Camera
 from stereophd.core.multi.filter_settings.phd import PhdSettings
 from stereophd.core.multi.filter_settings.pmb import PmbSettings
@@ -273,19 +272,7 @@ def annealed_task(loaded: LoadedConfig, section: CalibrationConfig, problem: Cal
         problem.recording,
         problem.scale,
         section.annealed,
-        build_stages(loaded, problem.parameters),
     )
-
-
-def build_stages(loaded: LoadedConfig, parameters: ParameterSet) -> tuple[UnknownSet, ...]:
-    """Return the stages in which unknowns are freed; raises InputError when one names what is no unknown."""
-    stages = calibration_section(loaded).stages
-    if stages == "auto":
-        return default_stages(parameters)
-    try:
-        return stages_named(parameters, stages)
-    except ValueError as error:
-        raise InputError(f"{loaded.path}: calibration.stages: {error}") from None
 
 
 # Memory of a hypothesis for each detection of a frame (13 kB in one run of 256 hypotheses), and of a detection

@@ -90,13 +90,9 @@ def _with_moves(run: CalibrationRun) -> Sampled:
 def _plain(run: CalibrationRun) -> Sampled:
     """The paper's filter without changes: particles are weighted, resampled and jittered."""
     settings, parameters = run.section.sequential, run.problem.parameters
-    noises = {"center": settings.center_noise, "rotation": float(np.deg2rad(settings.rotation_noise_deg))}
-    walk = np.array([noises.get(p.quantity.name, 0.0) for p in parameters.parameters])
     batch = FilterBatch(_template(run, settings.likelihood, settings.samples), run.jobs)
     seed = SEQUENTIAL_PARTICLES.seed(run.loaded.config.seed)
-    sampler = SequentialSampler(
-        parameters, run.problem.scans().events, batch, settings, seed, walk if walk.any() else None
-    )
+    sampler = SequentialSampler(parameters, run.problem.scans().events, batch, settings, seed)
     state, infos = _run(run, "sequential", sampler, tuple[SequentialState, list[SequentialInfo]])
     details = {
         "log_evidence": state.log_evidence,

@@ -34,11 +34,6 @@ from stereophd.wording import LOGGER, percent
 # A track that ends coasting, existence falling, was not seen again: smoothed, it ends where it was still
 # more probable than not.
 SEEN_EXISTENCE = 0.5
-# Smoothed states explain the detections of a track worse than filtered ones if one of twenty has a residual more than
-# this many times the filter's, and this many times what noise gives (95 % of a chi-square with 2 degrees of freedom).
-WORSE, QUANTILE, NOISE = 2.0, 0.95, 5.99
-# Least number of detections for this comparison.
-LEAST_DETECTIONS = 4
 
 
 def smoothed_records(
@@ -62,7 +57,7 @@ def smoothed_records(
     run = make_run([record.event for record in whole], np.array([record.time_s for record in whole]), cameras, motion)
     claims = claims_of_run(whole, run)
     labels = np.array([record.first_label for record in whole], dtype=np.int64)
-    trajectories = _smoothed(_trajectories(whole, run.times), claims, run, labels, chains=not extents)
+    trajectories = _smoothed(_trajectories(whole, run.times), run, labels)
     extended = [Extended(one) for one in trajectories]
     if back:
         extended = _reach_back(trajectories, run, settings.max_gap_s)
@@ -230,46 +225,14 @@ def _trajectories(records: Sequence[Record], times: Array) -> list[tuple[Traject
     return out
 
 
-def _smoothed(
-    filtered: Sequence[tuple[Trajectory, int]], claims: RunClaims, run: WholeRun, first_labels: Integers, chains: bool
-) -> list[Trajectory]:
-    """Smooth tracks, and continue each back to the event of its first detection.
-
-    A filtered state may leap to another hypothesis, which the smoother takes for motion. Where smoothed states explain
-    the detections of a track worse than the filtered ones, it is smoothed from these detections alone, with `chains` of
-    points; if that is no better, it keeps its filtered states, with a warning.
-    """
-    out, kept = [], []
+def _smoothed(filtered: Sequence[tuple[Trajectory, int]], run: WholeRun, first_labels: Integers) -> list[Trajectory]:
+    """Smooth tracks, and continue each back to the event of its first detection."""
+    out = []
     for track, label in filtered:
-        smoothed, detections = smooth(track, run.motion), claims.detections_of(track, run)
-        if _is_worse(smoothed, track, detections, run):
-            can_chain = chains and run.motion.moves
-            smoothed = make_chain(track, detections, run).smoothed().trajectory if can_chain else track
-            if _is_worse(smoothed, track, detections, run):
-                smoothed = track
-                kept.append(track.track_id)
         born = int(np.searchsorted(first_labels, label, side="right")) - 1
         earlier = np.arange(max(born, 0), int(track.events[0]))
-        out.append(extend_back(smoothed, earlier, run.times[earlier], run.motion))
-    if kept:
-        LOGGER.warning(
-            "report.smooth: %d of %d tracks keep their filtered states, because smoothed ones would explain their "
-            "detections worse (tracks %s%s): is `motion.acceleration_std` large enough?",
-            len(kept), len(filtered), ", ".join(map(str, kept[:5])), " and others" if len(kept) > 5 else "",
-        )  # fmt: skip
+        out.append(extend_back(smooth(track, run.motion), earlier, run.times[earlier], run.motion))
     return out
-
-
-def _is_worse(smoothed: Trajectory, track: Trajectory, detections: Integers, run: WholeRun) -> bool:
-    """Whether smoothed states explain the detections (k,) of a track worse than the filtered ones."""
-    known = np.flatnonzero(detections != NONE)
-    if len(known) < LEAST_DETECTIONS:
-        return False
-    after, before = (
-        np.quantile(run.squared_residuals(one.events[known], one.states[known], detections[known]), QUANTILE)
-        for one in (smoothed, track)
-    )
-    return not after <= WORSE**2 * max(before, NOISE)
 
 
 def _last_extents(records: Sequence[Record]) -> dict[int, Array]:

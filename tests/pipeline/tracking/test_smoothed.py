@@ -1,4 +1,4 @@
-"""Smoothing that would explain the detections of a track worse than the filter did; detections known by their rows."""
+"""Smoothed runs: detections known by their rows, and residuals of the filter that stay."""
 
 from __future__ import annotations
 
@@ -11,14 +11,11 @@ import pytest
 from stereophd.commands.simulate import simulate
 from stereophd.config.loading import load_config
 from stereophd.config.report import ReportConfig, SmoothConfig
-from stereophd.core.trajectories.chain import NONE, make_run
 from stereophd.io.logs.reading import LogReader
 from stereophd.io.tables.reading import open_parquet
 from stereophd.pipeline.build import build_filter
 from stereophd.pipeline.stream import EventStream
-from stereophd.pipeline.tracking.loop import run_estimator
 from stereophd.pipeline.tracking.residuals import TrackErrors
-from stereophd.pipeline.tracking.smoothed import _is_worse, _smoothed, _trajectories, claims_of_run
 from stereophd.pipeline.tracking.tracking_run import reported_records
 from tests.commands.test_track import SCENE
 
@@ -49,37 +46,6 @@ def test_detections_carry_their_rows_of_the_log(log: Path) -> None:
     frames = [replace(frame, rows=None) for frame in LogReader(path, cameras)]
     rows = np.concatenate([event.rows for event in EventStream(cameras, frames) if event.rows is not None])
     assert sorted(rows.tolist()) == list(range(len(seen)))
-
-
-def test_a_track_that_leaps_is_smoothed_from_its_detections_alone(log: Path) -> None:
-    """Filtered states that leap twice to another place draw the smoother away from the detections."""
-    loaded = load_config(log / "scene.yaml", ["filter.kind=pmb"])
-    cameras = loaded.build_cameras()
-    tracker = replace(build_filter(loaded.config, cameras, loaded.path), claims=True)
-    stream = EventStream(cameras, LogReader(log / "log" / "detections.parquet", cameras))
-    whole = list(run_estimator(tracker, stream, keep_events=True))
-    times = np.array([record.time_s for record in whole])
-    run = make_run([record.event for record in whole], times, cameras, tracker.motion)
-    claims = claims_of_run(whole, run)
-    track, label = max(_trajectories(whole, times), key=lambda one: len(one[0].events))
-    detections = claims.detections_of(track, run)
-    assert np.count_nonzero(detections != NONE) > 20
-    labels = np.array([record.first_label for record in whole])
-    (right,) = _smoothed([(track, label)], claims, run, labels, chains=True)
-    middle = len(track.events) // 2
-    states = track.states.copy()
-    states[middle : middle + 4, :3] += 0.2 * np.linalg.norm(states[middle, :3] - cameras[0].pose.center)
-    leaping = replace(track, states=states)
-    unseen = detections.copy()
-    unseen[middle : middle + 4] = NONE
-    kept = ~np.isin(claims.detections, detections[middle : middle + 4])
-    (found,) = _smoothed([(leaping, label)], claims.take(kept), run, labels, chains=True)
-    part = found.take(slice(len(found.events) - len(track.events), None))
-    assert not _is_worse(part, leaping, unseen, run)
-    there = right.take(slice(len(right.events) - len(track.events), None))
-    errors = np.linalg.norm(part.states[:, :3] - there.states[:, :3], axis=1)
-    stds = np.sqrt(np.trace(there.covariances[:, :3, :3], axis1=1, axis2=2))
-    assert np.median(errors / stds) < 1.0
 
 
 @pytest.mark.parametrize("length_s", [0.0, 3.0])

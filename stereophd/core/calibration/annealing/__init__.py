@@ -9,7 +9,7 @@ hold all values:
 fit                    detections of a trajectory             holds                       loss    called by
 =====================  =====================================  ==========================  ======  =====================
 ``paired_fit``         paired one-camera tracks               nothing                     Cauchy  ``starts.run_start``
-``tracked_fit``        tracks of the filter, noise inflated   nothing, or a stage's rest  Cauchy  ``starts.run_start``
+``tracked_fit``        tracks of the filter, noise inflated   nothing                     Cauchy  ``starts.run_start``
 ``refitted``           chosen anew by the trajectories        nothing, or all values      fixed   ``starts``, ``method``
 ``adjusted_to``        those given                            what the fit given held     fixed   the others below
 ``rescaled``           as the fit given                       as the fit given            fixed   ``at_known_scale``

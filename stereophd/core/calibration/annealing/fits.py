@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import LinAlgError
 
-from stereophd.core.arrays import Array, Booleans, Integers
+from stereophd.core.arrays import Array, Integers
 from stereophd.core.calibration.adjustment import normal_equations
 from stereophd.core.calibration.adjustment.linearisation import Linearisation
 from stereophd.core.calibration.adjustment.marginal import MarginalPosterior, marginal_optimum
@@ -29,7 +29,6 @@ from stereophd.core.calibration.annealing.rejected import collapsed, lone
 from stereophd.core.calibration.annealing.task import Fit, Task
 from stereophd.core.calibration.pairing.association import shared, track_detections, with_cameras
 from stereophd.core.calibration.pairing.choice import Pairing
-from stereophd.core.calibration.pairing.clock_search import offset_places
 from stereophd.core.calibration.pairing.refinement import meeting_points
 from stereophd.core.calibration.pairing.search import DRAWS, distinct_pairings, paired_objects
 from stereophd.core.calibration.unknowns.quantities.pixel_derivatives import view_of
@@ -39,8 +38,6 @@ from stereophd.core.calibration.unknowns.scale import enlarged, reduced
 # are rather false ones (at that distance a normal density is down to this part of its peak).
 ANNEALED_LOSS = Loss(normal_equations.CAUCHY, 2.0)
 FITTED_LOSS = Loss(normal_equations.FLOOR, 1e-3)
-# Spread of the draws about clock offsets that motion shows, in parts of the prior's.
-SEARCHED_PART = 0.1
 # Iterations of an adjustment that others follow.
 ANNEALED_ITERATIONS = 30
 # Steps of the knots, whatever the loss says, before an adjustment.
@@ -71,7 +68,6 @@ def pairings_of(task: Task, values: Array, seed: np.random.SeedSequence) -> list
         return []
     draws = task.parameters.sample(np.random.default_rng(seed), DRAWS)
     draws[0] = values
-    draws[1:] = with_clocks(task, draws[1:])
     return distinct_pairings(task.parameters, task.pairs, draws)
 
 
@@ -100,24 +96,11 @@ def paired_fit(task: Task, pairing: Pairing) -> Fit:
     return confirmed_fit(task, problem, pairing.values, states, detections)
 
 
-def with_clocks(task: Task, draws: Array) -> Array:
-    """Give every other one of draws (k, m) the clock offsets that the motion shows, as far apart as those are sure."""
-    places, found = offset_places(task.parameters), task.clocks
-    draws = draws.copy()
-    for camera in np.flatnonzero(found.scores > 0.0):
-        place = places[camera]
-        mean = task.parameters.prior_mean[place]
-        draws[::2, place] = found.offsets[camera] + SEARCHED_PART * (draws[::2, place] - mean)
-    return draws
-
-
-def tracked_fit(
-    task: Task, values: Array, inflation: float, held: Booleans | None = None, ratio: float = 1.0, noise: Array = STATED
-) -> Fit | None:
+def tracked_fit(task: Task, values: Array, inflation: float, ratio: float = 1.0, noise: Array = STATED) -> Fit | None:
     """Track with the cameras of `values` and inflated noise, and adjust to the shared tracks, if any.
 
-    `held` (m,) are values that stay; the filter gets the cameras enlarged by `ratio` (`annealing.tracking_scale`). The
-    noise (6,) of the motion is looked for from the given one on.
+    The filter gets the cameras enlarged by `ratio` (`annealing.tracking_scale`). The noise (6,) of the motion is looked
+    for from the given one on.
     """
     cameras = task.parameters.build(values)
     scans = task.tracked_scans(cameras)
@@ -132,7 +115,7 @@ def tracked_fit(
     knots = _knots(task, observations, points, values, noise)
     precision = ratio**2 / np.maximum(found.variances[rows], 1e-12)
     states = fit_states(knots, *interpolation(knots, tracks, observations.times), points, precision)
-    problem = Problem(task.parameters, task.reference, knots, observations, ANNEALED_LOSS, task.scale, held)
+    problem = Problem(task.parameters, task.reference, knots, observations, ANNEALED_LOSS, task.scale)
     return confirmed_fit(task, problem, values, states, detections, noise)
 
 

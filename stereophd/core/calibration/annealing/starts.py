@@ -93,10 +93,10 @@ def run_start(task: Task, number: int, values: Array, pairings: list[Pairing]) -
 def _follow(task: Task, number: int, origin: str, start: Array, fit: Fit | None) -> Start:
     """Follow a start from a fit of paired tracks, or from its values at the widest noise, through all passes.
 
-    A pairing has fitted all unknowns, so that no pass holds any, and the inflation begins at the residuals of its fit.
+    After a pairing the inflation begins at the residuals of its fit.
     """
     begun = Start(number, "", np.empty((0, len(start))), None, np.nan, np.nan, 0.0, origin)
-    values, inflations, is_paired = start, task.settings.inflation, fit is not None
+    values, inflations = start, task.settings.inflation
     if fit is not None:
         begun, values = begun.with_pass(fit), fit.adjustment.values
         residual = np.sqrt(squared_residuals(fit).mean())
@@ -108,8 +108,7 @@ def _follow(task: Task, number: int, origin: str, start: Array, fit: Fit | None)
         ratio, noise = 1.0, STATED
         if fit is not None:
             ratio, noise = depth_ratio(task, fit, KEPT_WITHIN), fit.adjustment.motion_noise
-        held = None if is_paired else task.held(number_of_pass)
-        fit = tracked_fit(task, values, inflation, held, ratio, noise)
+        fit = tracked_fit(task, values, inflation, ratio, noise)
         if fit is None:
             why = f"no track is shared by two cameras at {inflation:g} times the noise"
             return replace(begun, fit=None, outcome=why)

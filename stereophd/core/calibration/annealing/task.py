@@ -15,13 +15,11 @@ from stereophd.core.calibration.adjustment.recording import Recording, Scans
 from stereophd.core.calibration.adjustment.solver import Adjustment
 from stereophd.core.calibration.adjustment.trajectories import Knots, MotionNoise
 from stereophd.core.calibration.pairing.choice import Pairing
-from stereophd.core.calibration.pairing.clock_search import ClockOffsets, offset_places, search_offsets
 from stereophd.core.calibration.pairing.track_pairs import TrackPairs, make_pairs, one_camera_tracks
 from stereophd.core.calibration.settings import AnnealedSettings
 from stereophd.core.calibration.time_limit import ENDLESS, TimeLimit
 from stereophd.core.calibration.unknowns.parameters import ParameterSet
 from stereophd.core.calibration.unknowns.scale import ScaleMeasurement
-from stereophd.core.calibration.unknowns.unknown_sets import UnknownSet, default_stages
 from stereophd.core.geometry.camera import Camera
 from stereophd.core.multi.pmb.filter import PmbFilter
 
@@ -50,8 +48,7 @@ def parts_of(
     share = min(fitted, tracked)
     if share >= 1.0 or not frames:
         return parts
-    clocks = offset_places(parameters)
-    apart = float(parameters.prior_std[clocks[clocks >= 0]].max(initial=0.0))
+    apart = float(parameters.clock_offset_stds.max(initial=0.0))
     period = float(recording.periods(len(parameters.cameras)).max())
     length = STRETCH * max(settings.min_detections, apart / period if period > 0.0 else 0.0)
     if length * period <= share * float(recording.times[-1] - recording.times[0]):
@@ -77,9 +74,6 @@ class Task:
     pairs: TrackPairs  # Which of them may be one object
     scale: ScaleMeasurement | None
     settings: AnnealedSettings
-    clocks: ClockOffsets  # Offsets of unknown clocks by the motion that the tracks show
-    # Unknowns that are free while tracking, pass by pass, the last of them also in the passes that follow.
-    stages: tuple[UnknownSet, ...]
     limit: TimeLimit = ENDLESS
     threads: int = 1  # Of what is computed side by side from an answer
     # (c,): Part of the noise's variance that detections of a cell share (`adjustment.noise`); default none.
@@ -107,13 +101,11 @@ class Task:
         recording: Recording,
         scale: ScaleMeasurement | None,
         settings: AnnealedSettings,
-        stages: tuple[UnknownSet, ...] = (),
     ) -> Self:
         """Prepare what all starts share: the one-camera tracks of each camera.
 
         Of a long log that part is worked on that has more detections to fit in these: instants that are spread over the
-        log hold objects that stay, stretches of it those that are seen briefly. Without `stages` those of
-        `stereophd.core.calibration.unknowns.unknown_sets.default_stages` are taken.
+        log hold objects that stay, stretches of it those that are seen briefly.
         """
         tried: list[tuple[float, Recording, Integers, Scans, Scans, tuple[tuple[int, Integers], ...]]] = []
         for part, frames in parts_of(recording, settings, parameters):
@@ -126,10 +118,8 @@ class Task:
             tried.append((followed * len(part.pixels), part, frames, scans, tracking, tracks))
         _, part, frames, scans, tracking, tracks = max(tried, key=itemgetter(0))
         pairs = make_pairs(parameters, tracking, tracks)
-        clocks = search_offsets(parameters, pairs.raw)
         return cls(
-            parameters, reference, multi_filter, part, frames, scans, tracking, tracks, pairs, scale, settings, clocks,
-            stages or default_stages(parameters),
+            parameters, reference, multi_filter, part, frames, scans, tracking, tracks, pairs, scale, settings
         )  # fmt: skip
 
     def with_noise(self, factors: Array | float, shared: Array | None = None) -> Self:
@@ -139,11 +129,6 @@ class Task:
         scans = Scans.of(recording, cameras)
         tracking = scans if self.tracking is self.scans else Scans.of(recording, cameras, self.frames)
         return replace(self, recording=recording, scans=scans, tracking=tracking, shared=shared)
-
-    def held(self, number: int) -> NDArray[np.bool_] | None:
-        """Values (m,) that are held in the pass of this number; None where all are free."""
-        free = self.stages[min(number, len(self.stages) - 1)].free
-        return None if free.all() else ~free
 
     def all_scans(self, cameras: Sequence[Camera]) -> Scans:
         """Return the events of all frames by these cameras."""

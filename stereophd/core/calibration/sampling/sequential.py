@@ -8,10 +8,9 @@ w_k stand for the cameras, and each carries the PHD filter conditional on it. An
 with the multi-object likelihood L^c of the conditional filter. When the effective number of particles falls
 below a fraction of their number they are resampled (systematically), intensities included.
 
-Cameras that stand still leave resampled particles on top of one another. Two remedies, both optional: roughening
-(N. J. Gordon, D. J. Salmond and A. F. M. Smith, 1993) adds noise of the standard deviation K E_j N^(-1/m) to
-parameter j after resampling, E_j being the range of the particles, m the number of parameters; and camera motion
-noise, a random walk over the time between events. Both are jitter: neither makes up for a prior of which only a
+Cameras that stand still leave resampled particles on top of one another. Roughening (N. J. Gordon, D. J. Salmond and
+A. F. M. Smith, 1993) adds noise of the standard deviation K E_j N^(-1/m) to parameter j after resampling, E_j being the
+range of the particles, m the number of parameters. It is jitter, and does not make up for a prior of which only a
 particle or two fit the first frames, where the filter settles on a wrong pose (see calibration_methods.md).
 """
 
@@ -65,8 +64,6 @@ class SequentialSampler:
     batch: FilterBatch
     settings: SequentialSettings
     seed: np.random.SeedSequence
-    # (m,), optional: Standard deviation of the random walk of each parameter over one second, in its unit.
-    motion_std: Array | None = None
 
     def init(self) -> SequentialState:
         """Draw the particles from the prior."""
@@ -87,9 +84,6 @@ class SequentialSampler:
         event, settings = self.events[state.filters.n_events], self.settings
         rng = step_generator(self.seed, FIRST_EVENT_STREAM + state.filters.n_events)
         values = state.values
-        if self.motion_std is not None and state.filters.time_s is not None:
-            walk = self.motion_std * np.sqrt(max(event.time_s - state.filters.time_s, 0.0))
-            values = values + walk * rng.standard_normal(values.shape)
         spaces = hypothesis_spaces(self.parameters, values, self.batch.template.rig)
         filters, log_likelihoods = self.batch.step(state.filters, event, spaces)
         log_weights, log_likelihood = normalised(state.log_weights + log_likelihoods)

@@ -97,6 +97,11 @@ class ParameterSet:
         """Standard deviations of the prior (m,)."""
         return np.array([p.std for p in self.parameters])
 
+    @property
+    def clock_offset_stds(self) -> Array:
+        """Prior standard deviations (k,) of the offsets of unknown clocks, s."""
+        return np.array([p.std for p in self.parameters if p.name == "clock_offset"])
+
     @cached_property
     def _places(self) -> dict[tuple[str, str], int]:
         return {(camera, p.name): i for i, p in enumerate(self.parameters) for camera in p.cameras}

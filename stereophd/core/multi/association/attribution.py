@@ -6,7 +6,7 @@ import numpy as np
 
 from stereophd.core.arrays import Array, Integers
 from stereophd.core.numerics.compilation.compiled import compiled
-from stereophd.core.numerics.sorting import picked, places, stable_order
+from stereophd.core.numerics.sorting import picked, stable_order
 
 # In the place of a detection where none is more probable than all others together.
 UNDECIDED = -1
@@ -44,8 +44,7 @@ def join_claims(claims: Claims, least: float) -> Claims:
     Rows are in order of detection, then of label.
     """
     labels, detections, probabilities = claims
-    order = places(labels >= 0)
-    order = picked(order, stable_order(picked(labels, order)))
+    order = stable_order(labels)
     order = picked(order, stable_order(picked(detections, order)))
     rows, sums = np.empty(len(order), dtype=np.int64), np.empty(len(order))
     count, start = 0, 0
@@ -69,9 +68,8 @@ def detected_labels(labels: Integers, weights: Array, n_missed: int, updated: In
     made a detection" (in a PHD, expected numbers), so given existence the object was detected with
     probability D / (D + M), where D and M are the sums of these weights. A newborn was detected for certain.
 
-    Parameters are those of `claims_of`; negative labels stand for objects never detected, and are left out. Returns the
-    labels (k,) with D > M, in rising order, and the detection (k,) that each made more probably than not; `UNDECIDED`
-    where several share the probability.
+    Parameters are those of `claims_of`. Returns the labels (k,) with D > M, in rising order, and the detection (k,)
+    that each made more probably than not; `UNDECIDED` where several share the probability.
     """
     order = stable_order(labels)
     detected, made = np.empty(len(labels), dtype=np.int64), np.empty(len(labels), dtype=np.int64)
@@ -84,7 +82,7 @@ def detected_labels(labels: Integers, weights: Array, n_missed: int, updated: In
             balance += -weights[k] if k < n_missed else weights[k]
             whole += weights[k]
             end += 1
-        if label >= 0 and balance > 0.0:
+        if balance > 0.0:
             detected[count], made[count] = label, UNDECIDED
             # the components of one label and detection are alternatives
             for i in range(start, end):

@@ -43,9 +43,6 @@ LEAST_INITIAL = 0.1
 # least LEAST_PRUNING times the pruning weight of the settings.
 NEWBORN_SHARE = 0.1
 LEAST_PRUNING = 1e-3
-# In a crowd of more than this number of components for each expected object it is `CROWD_SHARE` of that weight.
-CROWDED = 1.25
-CROWD_SHARE = 0.5
 
 
 class Undetected(NamedTuple):
@@ -108,33 +105,14 @@ def expected_births(
 
 @compiled
 def prune_weight_for_births(stated: float, births: float, p_detect: float, clutter: float) -> float:
-    """Return the pruning weight of a reduction: the stated one, or less where newborns are light."""
+    """Return the pruning weight of a reduction: the stated one, or less where newborns are light.
+
+    What is lighter tells less than the next detection of a new object will.
+    """
     born = p_detect * births
     if born <= 0.0:
         return stated
     return min(max(NEWBORN_SHARE * (born / (born + clutter)), LEAST_PRUNING * stated), stated)
-
-
-@compiled
-def prune_weight_in_crowd(
-    before: float, recycle_below: float, peak: float, p_detect: float, clutter: float, weights: Array
-) -> float:
-    """Return the pruning weight of a reduction of thousands of components, which ends what will not grow.
-
-    It is at least `NEWBORN_SHARE` of the weight of a newborn, and `CROWD_SHARE` where components are more than
-    `CROWDED` for each expected object, but no more than `recycle_below`. What is lighter tells less than the next
-    detection of a new object will. Among thousands of detections it would never end: each event shares it out among
-    those that are near by chance, and every share is another component.
-
-    `peak` is the largest number of undetected objects expected in view of the camera since its last frame. Of cameras
-    that take their frames at one time the first expects all new objects, and the last next to none. Weights (n,) are
-    those of the components before the event.
-    """
-    born = p_detect * peak
-    if born <= 0.0:
-        return before
-    share = CROWD_SHARE if len(weights) > CROWDED * weights.sum() else NEWBORN_SHARE
-    return max(before, min(share * born / (born + clutter), recycle_below))
 
 
 def undetected_shares(rig: Rig, prior: BirthPrior) -> Array:

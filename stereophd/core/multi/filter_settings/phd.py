@@ -17,12 +17,9 @@ class PhdSettings(FilterSettings):
         advice="lower keeps more alternatives and takes more time.",
     )
     merge_distance: NonNegative = parameter(
-        "squared Mahalanobis distance below which components merge",
+        "squared Mahalanobis distance, in the covariances of both, below which components merge",
         default=7.0,
         advice="larger merges more: faster, and objects close together become one.",
-    )
-    merge_rule: Literal["mutual", "vo_ma"] = parameter(
-        "mutual: near in the covariances of both; vo_ma: in that of the lighter one only (textbook)", default="mutual"
     )
     merge_moments: Literal["label", "intensity"] = parameter(
         "what counts for mean and covariance of a merged component. label: the probabilities of the alternatives for "

@@ -13,12 +13,9 @@ class PmbSettings(FilterSettings):
     """Poisson multi-Bernoulli filter (Williams 2015): labelled tracks."""
 
     kind: Literal["pmb"] = parameter("the filter", default="pmb")
-    recycle_below: Positive = parameter(
-        "tracks of a smaller existence join the intensity of undetected objects", default=1e-3, advice="rarely changed."
-    )
     prune_weight: Positive = parameter(
-        "components of that intensity below this weight are dropped",
-        default=1e-4,
+        "tracks of a smaller existence are dropped",
+        default=1e-3,
         advice="lower keeps more alternatives and takes more time; newborns that are light because frames follow each "
         "other closely lower it by themselves.",
     )

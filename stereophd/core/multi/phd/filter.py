@@ -41,8 +41,7 @@ class PhdFilter(DisparityFilter):
         settings = self.settings
         return PhdReduction(
             prune_weight=float(settings.prune_weight), merge_distance=float(settings.merge_distance),
-            max_components=most_components(settings.max_components), mutual=settings.merge_rule == "mutual",
-            by_label=settings.merge_moments == "label",
+            max_components=most_components(settings.max_components), by_label=settings.merge_moments == "label",
         )  # fmt: skip
 
     @property

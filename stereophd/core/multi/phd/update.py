@@ -8,7 +8,7 @@ from stereophd.core.arrays import Array, Integers
 from stereophd.core.disparity.moved import OUT_OF_VIEW, Moved
 from stereophd.core.multi.association.likelihoods import ALL_PAIRS, pair_likelihoods
 from stereophd.core.multi.state.inputs import EventArrays, EventNumbers
-from stereophd.core.multi.state.mixture import UNLABELLED, GaussianMixture, take_components
+from stereophd.core.multi.state.mixture import GaussianMixture, take_components
 from stereophd.core.multi.state.outcomes import ChosenOutcomes, Outcomes, label_outcomes, make_components
 from stereophd.core.multi.state.reduction import merge_sorted
 from stereophd.core.numerics.compilation.compiled import compiled
@@ -24,7 +24,6 @@ class PhdReduction(NamedTuple):
     prune_weight: float
     merge_distance: float
     max_components: int
-    mutual: bool
     by_label: bool
 
 
@@ -99,7 +98,7 @@ def label_shares(
     Labels (n,) are those before the event, weights (n + p + m,) those of the components missed, of the pairs of a
     component and a detection (p,), with the intensity w_i p_D g_ij (`joint`), and of the newborn. `others` (m,) is the
     intensity at each detection of everything, this label included, and `least` the part of it that is clutter and
-    births. The sum over a label stays; newborn and unlabelled components keep their weights.
+    births. The sum over a label stays; newborn components keep their weights.
     """
     count, made = len(labels), len(others)
     number, known = group(labels)
@@ -130,7 +129,7 @@ def label_shares(
     for k in range(count + len(pairs)):
         owner = k if k < count else components[k - count]
         n = number[owner]
-        if labels[owner] == UNLABELLED or total[n] <= 0.0:
+        if total[n] <= 0.0:
             shares[k] = weights[k]
         else:
             shares[k] *= whole[n] / total[n]
@@ -148,9 +147,7 @@ def reduce_intensity(mixture: GaussianMixture, shares: Array, settings: PhdReduc
     order = picked(heavy, stable_order(-picked(mixture.weights, heavy)))
     reduced = take_components(mixture, order)
     if settings.merge_distance > 0.0 and len(reduced.weights) > 1:
-        weights, means, covariances, leaders = merge_sorted(
-            reduced, picked(shares, order), settings.merge_distance, settings.mutual
-        )
+        weights, means, covariances, leaders = merge_sorted(reduced, picked(shares, order), settings.merge_distance)
         reduced = GaussianMixture(
             weights, means, covariances, reduced.cameras[leaders], reduced.times[leaders], reduced.labels[leaders],
             reduced.tracks[leaders], reduced.reported[leaders]

@@ -4,8 +4,8 @@ The track-oriented marginal filter (Williams 2015). Each track is a Bernoulli co
 a mixture of the hypotheses that the data have not decided yet. Most tracks have one Gaussian; several remain where
 detections of two cameras on one epipolar line can be paired in several ways. Association marginals are exact, cluster
 by cluster; loopy belief propagation replaces them for clusters that are too large. Objects that were never detected
-form a Poisson intensity, uniform over the image (the observation-driven birth of the PHD filter); tracks that became
-improbable are recycled to it. The log-likelihood of an event is the value of its association problem.
+form a Poisson intensity, uniform over the image (the observation-driven birth of the PHD filter). The log-likelihood of
+an event is the value of its association problem.
 
 Reference: J. L. Williams, "Marginal multi-Bernoulli filters: RFS derivation of MHT, JIPDA and
 association-based MeMBer", IEEE Trans. AES 51 (3), 2015.
@@ -26,9 +26,8 @@ from stereophd.core.disparity.moved import Moved
 from stereophd.core.motion.arrays import MotionArrays
 from stereophd.core.multi.association.attribution import Claims, claims_of, detected_labels
 from stereophd.core.multi.association.exact_association import association_marginals
-from stereophd.core.multi.association.likelihoods import FEW_COMPONENTS
 from stereophd.core.multi.base import DisparityFilter, FilterState, Prediction, most_components
-from stereophd.core.multi.births.undetected import Undetected, prune_weight_for_births, prune_weight_in_crowd
+from stereophd.core.multi.births.undetected import Undetected, prune_weight_for_births
 from stereophd.core.multi.camera_hypotheses.batch_kernels import update_batch
 from stereophd.core.multi.extract import Report, Selection, select_objects
 from stereophd.core.multi.filter_settings.pmb import PmbSettings
@@ -38,7 +37,7 @@ from stereophd.core.multi.pmb.update import associate_tracks
 from stereophd.core.multi.prediction import Fields, predict_event
 from stereophd.core.multi.state.estimates import Estimates, Info
 from stereophd.core.multi.state.inputs import Detections, EventNumbers, with_births, with_newborns
-from stereophd.core.multi.state.mixture import UNLABELLED, GaussianMixture, empty_mixture
+from stereophd.core.multi.state.mixture import GaussianMixture, empty_mixture
 from stereophd.core.multi.state.outcomes import make_components
 from stereophd.core.multi.swaps.epipolar_pairs import NewObjects, Past, swap_candidates
 from stereophd.core.multi.swaps.history import ClaimedDetections, DeferredPairs, History
@@ -52,8 +51,7 @@ NO_HISTORY = History()
 class PmbFilter(DisparityFilter):
     """The PMB filter; see `DisparityFilter` for its other fields.
 
-    In the state's mixture a label is a track and its weight the existence; components labelled -1 are
-    the intensity of undetected objects.
+    In the state's mixture a label is a track and its weight the existence.
     """
 
     settings: PmbSettings
@@ -66,8 +64,8 @@ class PmbFilter(DisparityFilter):
         """Settings of the reduction, for compiled code."""
         settings = self.settings
         return PmbReduction(
-            prune_weight=float(settings.prune_weight), recycle_below=float(settings.recycle_below),
-            merge_distance=float(settings.merge_distance), max_components=most_components(settings.max_components),
+            prune_weight=float(settings.prune_weight), merge_distance=float(settings.merge_distance),
+            max_components=most_components(settings.max_components),
             hypothesis_distance=float(settings.hypothesis_distance), least_share=float(settings.least_share),
             max_hypotheses=int(settings.max_hypotheses or BY_DETECTIONS),
         )  # fmt: skip
@@ -147,8 +145,7 @@ class PmbFilter(DisparityFilter):
             history = (state.history or NO_HISTORY).add(claimed)
         left_out, room = 0, self.reduction.max_components - len(event.points)
         if state.mixture.size > room:
-            tracks = np.unique(state.mixture.labels)
-            left_out = max(int(np.count_nonzero(tracks != UNLABELLED)) - room, 0)
+            left_out = max(len(np.unique(state.mixture.labels)) - room, 0)
         return (
             FilterState(mixture, event.time_s, state.n_events + 1, *counters, undetected, history),
             Info(log_likelihood, expected, mixture.size, labels, claims, left_out, burst, fewer, undecided, forgotten),
@@ -225,15 +222,12 @@ def _update(
     """`associate_tracks`, which labels were detected and by which detections, and `reduce_tracks`.
 
     The numbers are those without births, and `born` has the births and the burst of clutter; `peak` is that of the
-    camera before the event (`Undetected`). The pruning weight is the one stated, or that of the births.
+    camera before the event (`Undetected`). The pruning weight is the one stated, or that of the births: of cameras that
+    take their frames at one time the first expects all new objects, and the last next to none.
     """
     births, burst = born
     event, numbers = with_newborns(detected, prior, mixture.means.shape[1]), with_births(bare, births, burst)
-    weight = prune_weight_for_births(stated.prune_weight, births, bare.p_detect, bare.clutter)
-    if len(mixture.weights) > FEW_COMPONENTS:
-        weight = prune_weight_in_crowd(
-            weight, stated.recycle_below, max(births, peak), bare.p_detect, bare.clutter, mixture.weights
-        )  # fmt: skip
+    weight = prune_weight_for_births(stated.prune_weight, max(births, peak), bare.p_detect, bare.clutter)
     reduction = PmbReduction(weight, *stated[1:])
     outcomes, log_likelihood, forgotten = associate_tracks(mixture, moved, event, numbers, reduction.prune_weight)
     known, weights, made = outcomes.labels, outcomes.weights, outcomes.made

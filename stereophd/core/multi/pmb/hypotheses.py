@@ -11,7 +11,6 @@ from typing import NamedTuple
 import numpy as np
 
 from stereophd.core.arrays import Array, Integers
-from stereophd.core.multi.state.mixture import UNLABELLED
 from stereophd.core.multi.state.outcomes import ChosenOutcomes, Outcomes
 from stereophd.core.numerics.compilation.compiled import compiled
 from stereophd.core.numerics.sorting import group, largest, picked, places, stable_order
@@ -26,7 +25,6 @@ class PmbReduction(NamedTuple):
     """Settings of the reduction: the fields of `PmbSettings` with the same names."""
 
     prune_weight: float
-    recycle_below: float
     merge_distance: float
     max_components: int
     hypothesis_distance: float
@@ -37,7 +35,7 @@ class PmbReduction(NamedTuple):
 class Existences(NamedTuple):
     """Tracks after an event."""
 
-    names: Integers  # (t,) of int: Labels in rising order, -1 among them
+    names: Integers  # (t,) of int: Labels in rising order
     existence: Array  # (t,): Sum of the weights of the outcomes of each
 
 
@@ -45,8 +43,7 @@ class Existences(NamedTuple):
 def choose_hypotheses(outcomes: Outcomes, settings: PmbReduction) -> tuple[ChosenOutcomes, Existences]:
     """Outcomes to keep, in order: those of the most probable tracks that are not a negligible part of their track.
 
-    With them, of the intensity of undetected objects, what is not below the pruning weight; and all tracks. Where they
-    are too many, the likeliest are kept (`_likeliest`).
+    Where they are too many, the likeliest are kept (`_likeliest`). With them all tracks are returned.
     """
     prune_weight, least_share = settings.prune_weight, settings.least_share
     labels, weights = outcomes.labels, outcomes.weights
@@ -56,13 +53,12 @@ def choose_hypotheses(outcomes: Outcomes, settings: PmbReduction) -> tuple[Chose
     for k in range(len(weights)):
         names[member[k]] = labels[k]
         existence[member[k]] += weights[k]
-    _keep_most_probable(existence, names, settings.max_components)
+    _keep_most_probable(existence, settings.max_components)
     index = np.empty(len(weights), dtype=np.int64)
     count = 0
     for k in range(len(weights)):
         whole = existence[member[k]]
-        worth = weights[k] >= least_share * whole and whole >= prune_weight
-        if weights[k] >= prune_weight if labels[k] == UNLABELLED else worth:
+        if weights[k] >= least_share * whole and whole >= prune_weight:
             index[count] = k
             count += 1
     most = settings.max_hypotheses
@@ -98,7 +94,7 @@ def _likeliest(outcomes: Outcomes, index: Integers, member: Integers, existence:
     heads = np.full(len(existence), -1)
     for k in range(len(weights)):
         # with what it got, a missed hypothesis may be one of the heaviest
-        kept[k] = kept[k] or (k < n_components and weights[k] >= lightest)
+        kept[k] = kept[k] or (k < n_components and weights[k] >= lightest and existence[member[k]] > 0.0)
     for k in index:
         head = heads[member[k]]
         if head < 0 or weights[k] > weights[head]:
@@ -117,13 +113,8 @@ def _likeliest(outcomes: Outcomes, index: Integers, member: Integers, existence:
 
 
 @compiled
-def _keep_most_probable(existence: Array, names: Integers, max_tracks: int) -> None:
+def _keep_most_probable(existence: Array, max_tracks: int) -> None:
     """Set the existence of all but the most probable tracks to 0."""
-    if len(existence) <= max_tracks:
-        return
-    found = 0
-    for g in stable_order(-existence):
-        if names[g] != UNLABELLED:
-            found += 1
-            if found > max_tracks:
-                existence[g] = 0.0
+    if len(existence) > max_tracks:
+        for g in stable_order(-existence)[max_tracks:]:
+            existence[g] = 0.0

@@ -1,7 +1,7 @@
 """Compiled reduction of the PMB filter.
 
-Negligible hypotheses are dropped, those of one track that agree are merged, two tracks on one object are joined,
-and improbable tracks are recycled into the intensity of undetected objects.
+Negligible hypotheses and improbable tracks are dropped, hypotheses of one track that agree are merged, and two tracks
+on one object are joined.
 """
 
 import math
@@ -11,10 +11,7 @@ import numpy as np
 from stereophd.core.arrays import Array, Integers
 from stereophd.core.multi.pmb.hypotheses import Existences, PmbReduction
 from stereophd.core.multi.state.mixture import (
-    UNLABELLED,
     GaussianMixture,
-    allocate_mixture,
-    copy_components,
     order_by_label,
     slice_components,
     take_components,
@@ -34,66 +31,25 @@ LAST = np.iinfo(np.int64).max
 def reduce_tracks(mixture: GaussianMixture, known: Existences, settings: PmbReduction) -> tuple[GaussianMixture, float]:
     """Reduce a mixture after an update, of tracks of a known existence.
 
-    Returns tracks, ordered by label and then by falling weight, then the intensity of undetected objects; and the sum
-    of the existences of the tracks.
+    What was dropped of a track goes to its other hypotheses. Returns tracks, ordered by label and then by falling
+    weight, and the sum of their existences.
     """
-    prune_weight, hypothesis_distance = settings.prune_weight, settings.hypothesis_distance
-    weights, labels = mixture.weights, mixture.labels
-    names, existence = known
-    member = np.searchsorted(names, labels)
-    index, kept_weights = _drop_negligible(mixture, member, existence, prune_weight, settings.least_share)
-    hypotheses = _merge_hypotheses(mixture, index, kept_weights, hypothesis_distance)
-    held = existence[np.searchsorted(names, hypotheses.labels)] >= settings.recycle_below
-    tracks = places(held)
-    undetected = places((labels == UNLABELLED) & (weights >= prune_weight))
-    recycled = places(~held & (hypotheses.weights >= prune_weight))
-    first, second = len(tracks), len(tracks) + len(undetected)
-    out = allocate_mixture(second + len(recycled), mixture.means.shape[1])
-    copy_components(hypotheses, tracks, out, 0)
-    copy_components(mixture, undetected, out, first)
-    copy_components(hypotheses, recycled, out, second)
-    out_labels = out.labels
-    for k in range(second, len(out_labels)):
-        out_labels[k] = UNLABELLED
-    joined, changed = _join_tracks(slice_components(out, 0, first), settings.merge_distance, hypothesis_distance)
-    if changed:
-        whole, kept = out, len(joined.weights)
-        out = allocate_mixture(kept + len(whole.weights) - first, mixture.means.shape[1])
-        copy_components(joined, np.arange(kept), out, 0)
-        copy_components(whole, np.arange(first, len(whole.weights)), out, kept)
-    return out, joined.weights.sum()
-
-
-@compiled
-def _drop_negligible(
-    mixture: GaussianMixture, member: Integers, existence: Array, prune_weight: float, least_share: float
-) -> tuple[Integers, Array]:
-    """Hypotheses worth keeping, and their weights; what is dropped of a track goes to its others: existence stays."""
-    weights, labels = mixture.weights, mixture.labels
-    remains = np.zeros(len(existence))
-    index = np.empty(len(member), dtype=np.int64)
-    count = 0
+    member, weights = np.searchsorted(known.names, mixture.labels), mixture.weights.copy()
+    remains = np.zeros(len(known.existence))
     for k in range(len(member)):
-        whole = existence[member[k]]
-        if labels[k] != UNLABELLED and weights[k] >= least_share * whole and whole >= prune_weight:
-            index[count] = k
-            count += 1
-            remains[member[k]] += weights[k]
-    kept_weights = np.empty(count)
-    for i in range(count):
-        g = member[index[i]]
-        kept_weights[i] = weights[index[i]] * (min(existence[g], MOST_EXISTENCE) / remains[g])
-    return index[:count], kept_weights
+        remains[member[k]] += weights[k]
+    for k in range(len(member)):
+        weights[k] *= min(known.existence[member[k]], MOST_EXISTENCE) / remains[member[k]]
+    hypotheses = _merge_hypotheses(mixture, weights, settings.hypothesis_distance)
+    out = _join_tracks(hypotheses, settings.merge_distance, settings.hypothesis_distance)
+    return out, out.weights.sum()
 
 
 @compiled
-def _merge_hypotheses(mixture: GaussianMixture, index: Integers, given: Array, distance: float) -> GaussianMixture:
-    """Merge hypotheses of one label that agree; ordered by label, then by falling weight.
-
-    The hypotheses are those components of a mixture that have these indices, with the weights given.
-    """
-    order = order_by_label(given, picked(mixture.labels, index))
-    found = take_components(mixture, picked(index, order))
+def _merge_hypotheses(mixture: GaussianMixture, given: Array, distance: float) -> GaussianMixture:
+    """Merge hypotheses of one label that agree, with the weights given; ordered by label, then by falling weight."""
+    order = order_by_label(given, mixture.labels)
+    found = take_components(mixture, order)
     _, means, covariances, cameras, times, labels, tracks, reported = found
     weights = picked(given, order)
     found = GaussianMixture(weights, *found[1:])
@@ -111,7 +67,7 @@ def _merge_hypotheses(mixture: GaussianMixture, index: Integers, given: Array, d
             merged += 1
         else:
             # what is written lies before what is still to be read
-            w, m, c, heaviest = merge_sorted(slice_components(found, start, end), weights[start:end], distance, True)
+            w, m, c, heaviest = merge_sorted(slice_components(found, start, end), weights[start:end], distance)
             for i in range(len(w)):
                 weights[merged] = w[i]
                 copy_gaussian(m, c, i, means, covariances, merged)
@@ -126,15 +82,15 @@ def _merge_hypotheses(mixture: GaussianMixture, index: Integers, given: Array, d
 
 
 @compiled
-def _join_tracks(mixture: GaussianMixture, distance: float, hypothesis_distance: float) -> tuple[GaussianMixture, bool]:
-    """Give tracks whose heaviest hypotheses agree one label: of two identities the older; whether there were any."""
+def _join_tracks(mixture: GaussianMixture, distance: float, hypothesis_distance: float) -> GaussianMixture:
+    """Give tracks whose heaviest hypotheses agree one label: of two identities the older."""
     weights, labels, tracks, reported = mixture.weights, mixture.labels, mixture.tracks, mixture.reported
     first = np.ones(len(labels), dtype=np.bool_)
     for k in range(1, len(labels)):
         first[k] = labels[k] != labels[k - 1]
     heads = places(first)
     if len(heads) < 2 or distance <= 0.0:
-        return mixture, False
+        return mixture
     # an identity once reported counts more than existence, and of two the older keeps its name
     heads = picked(heads, stable_order(-picked(weights, heads)))
     seniority = picked(tracks, heads)
@@ -153,14 +109,14 @@ def _join_tracks(mixture: GaussianMixture, distance: float, hypothesis_distance:
                 labels[k], tracks[k], reported[k] = labels[head], tracks[head], reported[head]
                 k += 1
     if not changed:
-        return mixture, False
+        return mixture
     member, n_groups = group(labels)
     existence = np.zeros(n_groups)
     for k in range(len(weights)):
         existence[member[k]] += weights[k]
     for k in range(len(weights)):
         weights[k] /= max(existence[member[k]], 1.0)
-    return _merge_hypotheses(mixture, np.arange(len(weights)), weights, hypothesis_distance), True
+    return _merge_hypotheses(mixture, weights, hypothesis_distance)
 
 
 @compiled

@@ -2,9 +2,9 @@
 
 The components of a label are alternatives for one track i of existence r_i = sum_h w_h, of which the part
 p_h = pD f_h w_h is expected to be detected (f_h the share in view). With the density l_hj of detection j given
-alternative h, the density c of clutter and the density b_j of first detections (births and recycled tracks),
+alternative h, the density c of clutter and the density b of first detections,
 
-    psi_ij = sum_h p_h l_hj / ((1 - sum_h p_h) (c + b_j))
+    psi_ij = sum_h p_h l_hj / ((1 - sum_h p_h) (c + b))
 
 are the odds of the association problem that `association_marginals` solves: its marginals m_ij share the
 detection out among the alternatives, w_hj = m_ij p_h l_hj / sum_h p_h l_hj.
@@ -19,17 +19,15 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from stereophd.core.arrays import Array, Integers
 from stereophd.core.disparity.moved import OUT_OF_VIEW, Moved
 from stereophd.core.multi.association.exact_association import association_marginals
-from stereophd.core.multi.association.likelihoods import kalman_updates, pair_likelihoods
+from stereophd.core.multi.association.likelihoods import pair_likelihoods
 from stereophd.core.multi.state.inputs import EventArrays, EventNumbers
-from stereophd.core.multi.state.mixture import UNLABELLED, GaussianMixture
+from stereophd.core.multi.state.mixture import GaussianMixture
 from stereophd.core.multi.state.outcomes import Outcomes, label_outcomes
 from stereophd.core.numerics.compilation.compiled import compiled
-from stereophd.core.numerics.moments import add_part
 from stereophd.core.numerics.sorting import group, picked, places, stable_order
 
 # A track that must have been detected (certain, in view, detection probability 1) may still be missed
@@ -46,7 +44,7 @@ MOST_PAIRS = 256
 def associate_tracks(
     mixture: GaussianMixture, moved: Moved, event: EventArrays, numbers: EventNumbers, prune_weight: float
 ) -> tuple[Outcomes, float, float]:
-    """Share the detections of an event out among tracks, the intensity of undetected objects, clutter and new objects.
+    """Share the detections of an event out among tracks, clutter and new objects.
 
     The mixture is as predicted, each component at home; `moved` has the same components in the event's space. Pairs far
     below the pruning weight are left out. Returns missed components, detected ones, and one new track a detection;
@@ -63,32 +61,21 @@ def associate_tracks(
     )
     detected = p_detect * fraction * weights
     joint = picked(detected, components) * densities
-    # the first detection of an object: of one that is unknown so far, or of a recycled track
-    birth = p_detect * births / area
-    first = np.full(n_detections, birth)
-    claims = picked(labels, components) != UNLABELLED
-    for p in range(len(components)):
-        if not claims[p]:
-            first[detections[p]] += joint[p]
-    background = clutter / area + first
+    # densities of first detections of objects, and with those that are false
+    born = p_detect * births / area
+    background = clutter / area + born
 
     member, n_groups = group(labels)
     missed = np.ones(n_groups)
-    log_likelihood = -clutter - p_detect * births
+    log_likelihood = n_detections * math.log(background) - clutter - p_detect * births
     for k in range(count):
-        if labels[k] == UNLABELLED:
-            log_likelihood -= detected[k]
-        else:
-            missed[member[k]] -= detected[k]
+        missed[member[k]] -= detected[k]
     for g in range(n_groups):
         missed[g] = max(missed[g], LEAST_MISSED)
         log_likelihood += math.log(missed[g])
-    for j in range(n_detections):
-        log_likelihood += math.log(background[j])
 
-    claiming = places(claims)
-    claim = _track_claims(member, components, detections, joint, claiming, n_detections)
-    odds = claim.sums / (picked(missed, claim.owners) * picked(background, claim.wanted))
+    claim = _track_claims(member, components, detections, joint, n_detections)
+    odds = claim.sums / (picked(missed, claim.owners) * background)
     share, untouched, unclaimed, log_bethe = association_marginals(
         claim.owners, claim.wanted, odds, n_groups, n_detections
     )
@@ -100,16 +87,9 @@ def associate_tracks(
     kept = places(taken >= LEAST_SHARE * prune_weight)
     chosen = picked(claim.order, kept)
     owned, made = picked(components, chosen), picked(detections, chosen)
-    existence = unclaimed * first / background
-    new_means, new_covariances = _first_detections(
-        moved, event, existence, birth / first, components, detections, joint, claims, first, prune_weight
-    )
-    out_weights = weights - detected
+    existence = unclaimed * (born / background)
     still = untouched / missed
-    for k in range(count):
-        if labels[k] != UNLABELLED:
-            out_weights[k] *= still[member[k]]
-    out_weights = np.concatenate((out_weights, picked(taken, kept), existence))
+    out_weights = np.concatenate(((weights - detected) * picked(still, member), picked(taken, kept), existence))
     out_labels = label_outcomes(labels, owned, numbers.next_label, n_detections)
     forgotten = -log_bethe
     for p in range(len(odds)):
@@ -119,8 +99,8 @@ def associate_tracks(
         if untouched[g] > 0.0:
             forgotten -= untouched[g] * math.log(untouched[g])
     for j in range(n_detections):  # of new tracks, which exist if no other made their detection, and it is not clutter
-        forgotten += _entropy(existence[j]) - unclaimed[j] * _entropy(first[j] / background[j])
-    outcomes = Outcomes(out_labels, out_weights, owned, made, new_means, new_covariances)
+        forgotten += _entropy(existence[j]) - unclaimed[j] * _entropy(born / background)
+    outcomes = Outcomes(out_labels, out_weights, owned, made, event.birth_means, event.birth_covariances)
     return outcomes, log_likelihood + log_bethe, max(forgotten, 0.0)
 
 
@@ -145,11 +125,11 @@ class TrackClaims(NamedTuple):
 
 @compiled
 def _track_claims(
-    member: Integers, components: Integers, detections: Integers, joint: Array, claiming: Integers, n_detections: int
+    member: Integers, components: Integers, detections: Integers, joint: Array, n_detections: int
 ) -> TrackClaims:
-    """Add up the pairs (p,) of components, of those `claiming`, by their track (`member`) and detection."""
+    """Add up the pairs (p,) of components by their track (`member`) and detection."""
     # most components of a track follow one another; tracks that were joined may have others elsewhere
-    order = picked(claiming, stable_order(picked(member, picked(components, claiming))))
+    order = stable_order(picked(member, components))
     owners, wanted = np.empty(len(order), dtype=np.int64), np.empty(len(order), dtype=np.int64)
     sums, pair = np.empty(len(order)), np.empty(len(order), dtype=np.int64)
     place = np.full(n_detections, -1)
@@ -173,74 +153,3 @@ def _track_claims(
             place[wanted[i]] = -1
         start = end
     return TrackClaims(owners[:found], wanted[:found], sums[:found], order, pair)
-
-
-@compiled
-def _first_detections(
-    moved: Moved,
-    event: EventArrays,
-    existence: Array,
-    born: Array,
-    components: Integers,
-    detections: Integers,
-    joint: Array,
-    claims: NDArray[np.bool_],
-    first: Array,
-    prune_weight: float,
-) -> tuple[Array, Array]:
-    """Gaussians (m) of objects detected for the first time: born now, or recycled before (moment matching)."""
-    chosen = np.empty(len(components), dtype=np.int64)
-    count = 0
-    for p in range(len(components)):
-        j = detections[p]
-        if not claims[p] and joint[p] > LEAST_SHARE * first[j] and existence[j] >= prune_weight:
-            chosen[count] = p
-            count += 1
-    if count == 0:
-        return event.birth_means, event.birth_covariances
-    chosen = chosen[:count]
-    groups, owned = picked(detections, chosen), picked(components, chosen)
-    means, covariances, rows = kalman_updates(
-        moved.means, moved.covariances, owned, groups, event.points, event.noises, event.readings
-    )
-    shares = picked(joint, chosen) / picked(first, groups)
-    return mix_gaussians(
-        groups, shares, means, covariances, rows, born, event.birth_means, event.birth_covariances
-    )  # fmt: skip
-
-
-@compiled
-def mix_gaussians(
-    groups: Integers,
-    weights: Array,
-    means: Array,
-    covariances: Array,
-    rows: Integers,
-    base_weights: Array,
-    base_means: Array,
-    base_covariances: Array,
-) -> tuple[Array, Array]:
-    """Moment-match, group by group, Gaussians (p) with a base Gaussian (g) of weight >= 0.
-
-    Gaussian p has the covariance of row ``rows[p]``. Returns means (g, d) and covariances (g, d, d); a group without
-    members keeps its base.
-    """
-    size = base_means.shape[1]
-    totals = base_weights.copy()
-    out_means, out_covariances = np.empty_like(base_means), np.zeros_like(base_covariances)
-    for p in range(len(groups)):
-        totals[groups[p]] += weights[p]
-    base_shares = np.where(totals > 0.0, base_weights / totals, 1.0)
-    for g in range(len(base_weights)):
-        for a in range(size):
-            out_means[g, a] = base_shares[g] * base_means[g, a]
-    for p in range(len(groups)):
-        g = groups[p]
-        for a in range(size):
-            out_means[g, a] += weights[p] / totals[g] * means[p, a]
-    for g in range(len(base_weights)):
-        add_part(base_shares[g], base_means[g], base_covariances[g], out_means[g], out_covariances[g])
-    for p in range(len(groups)):
-        g = groups[p]
-        add_part(weights[p] / totals[g], means[p], covariances[rows[p]], out_means[g], out_covariances[g])
-    return out_means, out_covariances

@@ -7,10 +7,10 @@ from numpy.typing import NDArray
 
 from stereophd.core.arrays import Array, Integers
 from stereophd.core.numerics.compilation.compiled import compiled
-from stereophd.core.numerics.sorting import copy_gaussian, picked, places, stable_order
+from stereophd.core.numerics.sorting import copy_gaussian, picked, stable_order
 
-# Label of components that represent undetected objects; identity of labels that were never reported.
-UNLABELLED = -1
+# Identity of labels that were never reported.
+UNREPORTED = -1
 
 
 class GaussianMixture(NamedTuple):
@@ -30,7 +30,7 @@ class GaussianMixture(NamedTuple):
     # `cameras`, `times`: arrays (n,): Home camera (index in the rig) and time, s.
     cameras: Integers
     times: Array
-    # (n,) of int: Components that descend from one detection share its label; -1 for objects never detected.
+    # (n,) of int: Components that descend from one detection share its label.
     labels: Integers
     tracks: Integers  # (n,) of int: Identity under which the label was first reported, -1 before
     reported: NDArray[np.bool_]  # (n,) of bool: Whether the label was reported after the last event
@@ -69,7 +69,7 @@ def allocate_mixture(count: int, size: int) -> GaussianMixture:
     """Room for components: without identity and never reported, else not filled in."""
     return GaussianMixture(
         np.empty(count), np.empty((count, size)), np.empty((count, size, size)), np.empty(count, dtype=np.int64),
-        np.empty(count), np.empty(count, dtype=np.int64), np.full(count, UNLABELLED),
+        np.empty(count), np.empty(count, dtype=np.int64), np.full(count, UNREPORTED),
         np.zeros(count, dtype=np.bool_)
     )  # fmt: skip
 
@@ -106,8 +106,8 @@ def slice_components(mixture: GaussianMixture, first: int, last: int) -> Gaussia
 
 @compiled
 def order_by_label(weights: Array, labels: Integers) -> Integers:
-    """Components with a label, by label and then by falling weight; most often they are in this order."""
-    order = places(labels != UNLABELLED)
+    """Components by label and then by falling weight; most often they are in this order."""
+    order = np.arange(len(labels))
     for i in range(1, len(order)):
         before, k = order[i - 1], order[i]
         if labels[k] < labels[before] or (labels[k] == labels[before] and weights[k] > weights[before]):

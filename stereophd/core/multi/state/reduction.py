@@ -1,4 +1,4 @@
-"""Mixture reduction: near components are merged (Vo and Ma 2006, Table II)."""
+"""Mixture reduction: components near each other in the covariances of both are merged."""
 
 import numpy as np
 
@@ -11,17 +11,15 @@ from stereophd.core.numerics.sorting import copy_gaussian
 
 
 @compiled
-def merge_sorted(
-    mixture: GaussianMixture, shares: Array, distance: float, mutual: bool
-) -> tuple[Array, Array, Array, Integers]:
-    """Merge components in falling order of their weights (Vo and Ma 2006, Table II).
+def merge_sorted(mixture: GaussianMixture, shares: Array, distance: float) -> tuple[Array, Array, Array, Integers]:
+    """Merge components in falling order of their weights.
 
     Components are compared only with those at home in the same camera at the same time. One is merged into a heavier
-    one below a squared Mahalanobis distance in the covariance of the lighter; if `mutual`, in that of the heavier as
-    well. Otherwise, as in the textbook, a component of known depth absorbs every light one of unknown depth, and its
-    own depth is then unknown too. `shares` (n,) are what each component counts for the mean and the covariance of a
-    merged one; the weights for its moments as a part of the intensity. Returns the merged weights, means and
-    covariances, and the index of the heaviest part of each.
+    one below a squared Mahalanobis distance in the covariances of both. In that of the lighter alone (Vo and Ma 2006,
+    Table II) a component of known depth would absorb every light one of unknown depth, and its own depth would be
+    unknown too. `shares` (n,) are what each component counts for the mean and the covariance of a merged one; the
+    weights for its moments as a part of the intensity. Returns the merged weights, means and covariances, and the index
+    of the heaviest part of each.
     """
     weights, means, covariances, cameras, times, _, _, _ = mixture
     count, size = means.shape
@@ -44,7 +42,7 @@ def merge_sorted(
         n_members = 1
         begin = leader + 1
         _mark_candidates(
-            cameras[leader], times[leader], first[leader], reaches[leader] if mutual else np.inf,
+            cameras[leader], times[leader], first[leader], reaches[leader],
             cameras[begin:], times[begin:], first[begin:], reaches[begin:], candidates[begin:]
         )  # fmt: skip
         for k in range(begin, count):
@@ -54,9 +52,7 @@ def merge_sorted(
             for a in range(size):
                 difference[a] = means[k, a] - means[leader, a]
                 # a squared Mahalanobis distance is at least that of each coordinate alone
-                reach = covariances[k, a, a]
-                if mutual:
-                    reach = min(reach, covariances[leader, a, a])
+                reach = min(covariances[k, a, a], covariances[leader, a, a])
                 if difference[a] * difference[a] > distance * reach:
                     near = False
                     break
@@ -68,9 +64,9 @@ def merge_sorted(
                     continue
             if squared_distance(difference, factors[k], scratch) > distance:
                 continue
-            if mutual and not factored[leader]:
+            if not factored[leader]:
                 factored[leader] = cholesky(covariances[leader], factors[leader])
-            if not mutual or (factored[leader] and squared_distance(difference, factors[leader], scratch) <= distance):
+            if factored[leader] and squared_distance(difference, factors[leader], scratch) <= distance:
                 members[n_members] = k
                 n_members += 1
         if n_members == 1:

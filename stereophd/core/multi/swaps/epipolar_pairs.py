@@ -14,7 +14,7 @@ from stereophd.core.disparity.trips import disparity_scale
 from stereophd.core.disparity.world_moments import place_in_world
 from stereophd.core.geometry.compiled_lenses import pixel_in_view
 from stereophd.core.geometry.layout import CENTER, CX, CY, FX, FY, ROTATION
-from stereophd.core.multi.state.mixture import UNLABELLED, GaussianMixture
+from stereophd.core.multi.state.mixture import GaussianMixture
 from stereophd.core.multi.swaps.history import DeferredPairs
 from stereophd.core.numerics.compilation.compiled import compiled
 from stereophd.core.numerics.sorting import stable_order
@@ -184,8 +184,7 @@ def _reported_places(mixture: GaussianMixture, rows: Integers, homes: Array, pas
     heads = np.empty(len(labels), dtype=np.int64)
     count = 0
     for k in range(len(labels)):
-        new = labels[k] != UNLABELLED and (k == 0 or labels[k] != labels[k - 1])
-        if new and mixture.reported[k] and mixture.means[k, 2] > 0.0:
+        if (k == 0 or labels[k] != labels[k - 1]) and mixture.reported[k] and mixture.means[k, 2] > 0.0:
             heads[count] = k
             count += 1
     moving = mixture.means.shape[1] == 6

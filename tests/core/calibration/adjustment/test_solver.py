@@ -344,3 +344,16 @@ def test_a_search_that_does_not_count_beyond_the_prior_ends_there() -> None:
     assert not ended.converged
     assert whole.converged
     assert whole.cost < ended.cost
+
+
+def test_held_values_stay_and_keep_the_covariance_of_the_prior() -> None:
+    made = make_problem(1, objects=4)
+    problem, found = solve(made)
+    held = np.array([True, False, False, False, False, True])
+    begin = np.where(held, 0.3 * problem.parameters.prior_std, found.values)
+    fixed = adjust(replace(problem, held=held), begin, found.states)
+    assert (fixed.values[held] == begin[held]).all()
+    assert (fixed.values[~held] != begin[~held]).all()
+    np.testing.assert_allclose(np.diag(fixed.covariance)[held], problem.parameters.prior_std[held] ** 2)
+    assert (fixed.covariance[np.ix_(held, ~held)] == 0.0).all()
+    assert fixed.cost >= found.cost - 1e-9

@@ -160,15 +160,6 @@ def test_an_optimum_that_the_prior_rules_out_does_not_count(task: Task, monkeypa
     assert task.parameters.prior_disagreement(found.values) is None
 
 
-def test_a_fit_of_tracks_moves_only_what_is_free(task: Task, paired: Fit) -> None:
-    held = np.arange(task.parameters.size) < 3
-    fit = tracked_fit(task, paired.adjustment.values, 1.4, held)
-    assert fit is not None
-    moved = fit.adjustment.values != paired.adjustment.values
-    assert moved.tolist() == (~held).tolist()
-    assert fit.held is held
-
-
 def test_tracks_of_too_few_detections_are_no_fit(task: Task, paired: Fit) -> None:
     settings = AnnealedSettings(min_detections=FRAMES + 1)
     assert tracked_fit(replace(task, settings=settings), paired.adjustment.values, 1.0) is None

@@ -76,9 +76,3 @@ def test_the_camera_is_found_and_a_resumed_run_ends_the_same() -> None:
     pitch = result.values[:, 3]
     assert pitch.std() < 0.5 * path.parameters.prior_std[3]
     assert abs(pitch.mean()) < 5.0 * pitch.std()
-
-
-def test_a_random_walk_goes_with_the_plain_filter_only() -> None:
-    with pytest.raises(ValueError, match="moves: none"):
-        SequentialSettings(center_noise=0.1)
-    assert SequentialSettings(moves="none", center_noise=0.1).center_noise == 0.1

@@ -82,14 +82,14 @@ def test_it_is_the_textbooks_filter(parameters: ParameterSet) -> None:
 def test_resumed_or_on_more_threads_it_is_the_same_to_the_bit(parameters: ParameterSet) -> None:
     events = make_events(parameters.cameras, 10)
     batch = FilterBatch(make_template(parameters.cameras))
-    settings, walk = SequentialSettings(moves="none", resample_below=0.75, particles=20), 0.01 * parameters.prior_std
+    settings = SequentialSettings(moves="none", resample_below=0.75, particles=20)
     saved: list[bytes] = []
 
     def save(state: SequentialState, history: Sequence[SequentialInfo]) -> None:
         if sampler.progress(state) == (6, 10):
             saved.append(pickle.dumps((state, list(history))))
 
-    sampler = SequentialSampler(parameters, events, batch, settings, SEED, walk)
+    sampler = SequentialSampler(parameters, events, batch, settings, SEED)
     whole, resumed = run(sampler, after_step=save), run(sampler, pickle.loads(saved[0]))
     assert to_bytes(whole) == to_bytes(resumed)
     threaded = run(replace(sampler, batch=replace(batch, threads=2)))
@@ -106,20 +106,6 @@ def test_roughening_has_the_spread_of_gordon_salmond_and_smith() -> None:
     np.testing.assert_allclose(moved[:, 0].std(), 0.2 * 4.0 * 20_000**-0.5, rtol=0.025)
     np.testing.assert_array_equal(moved[:, 1], 0.0)
     assert sequential.roughened(values, 0.0, rng) is values
-
-
-def test_camera_motion_noise_grows_with_the_root_of_time(parameters: ParameterSet) -> None:
-    # without detections nothing is learnt, and the particles spread by the random walk alone
-    events = [replace(event, points=np.empty((0, 2)), covariances=np.empty((0, 2, 2)), areas=np.empty(0))
-              for event in make_events(parameters.cameras, 10)]  # fmt: skip
-    std = np.array([0.5, 0.0, 0.0, 0.0, 0.0, 0.003])
-    settings = SequentialSettings(moves="none", resample_below=0.75, particles=4000, roughening=0.0)
-    batch = FilterBatch(make_template(parameters.cameras, samples=32))
-    values = parameters.sample(step_generator(SEED, 0), 4000)
-    state, history = run(SequentialSampler(parameters, events, batch, settings, SEED, std))
-    assert not any(info.resampled for info in history)
-    # from 0 to 2 s; the standard error of a standard deviation is 1.1 %
-    np.testing.assert_allclose((state.values - values).std(axis=0), std * np.sqrt(2.0), rtol=0.055, atol=1e-12)
 
 
 def test_a_pose_known_roughly_becomes_better_known(parameters: ParameterSet) -> None:

@@ -14,7 +14,7 @@ from stereophd.core.multi.association.attribution import UNDECIDED, detected_lab
 @pytest.mark.parametrize("seed", range(5))
 def test_labels_detected_more_probably_than_not(seed: int) -> None:
     rng = np.random.default_rng(seed)
-    labels = rng.integers(-1, 20, 80)
+    labels = rng.integers(0, 20, 80)
     weights = rng.gamma(0.5, 0.5, 80)
     n_missed = int(rng.integers(30, 50))
     updated = rng.integers(0, 8, 80 - n_missed - 8)

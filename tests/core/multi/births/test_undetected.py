@@ -11,14 +11,11 @@ from stereophd.core.disparity.events import Event, make_event, make_rig
 from stereophd.core.disparity.prior import DisparityPrior
 from stereophd.core.geometry.camera import Camera
 from stereophd.core.multi.births.undetected import (
-    CROWD_SHARE,
     LEAST_INITIAL,
-    NEWBORN_SHARE,
     Undetected,
     all_undetected,
     birth_rates,
     expected_births,
-    prune_weight_in_crowd,
     undetected_shares,
 )
 from stereophd.core.multi.filter_settings.common import BirthPrior
@@ -125,21 +122,6 @@ def test_cameras_at_one_time_share_the_peak_of_the_first() -> None:
     assert births[2] < 0.02 * births[0]
     np.testing.assert_allclose(peaks, births[0])
     assert births[0] == pytest.approx(0.5 * 0.1 / (1.0 - 0.1**3))
-
-
-@pytest.mark.parametrize(
-    ("count", "births", "expected"),
-    [
-        (12, 0.01, NEWBORN_SHARE * 0.009 / 4.009),
-        (13, 0.01, CROWD_SHARE * 0.009 / 4.009),
-        (13, 10.0, 1e-2),
-        (12, 0.0, 1e-5),
-    ],
-)
-def test_a_crowd_ends_what_is_lighter_than_newborns(count: int, births: float, expected: float) -> None:
-    """Ten objects and no more than 2 light components, or 3; light births, heavy ones, and none."""
-    weights = np.concatenate([np.ones(10), np.full(count - 10, 1e-6)])
-    assert prune_weight_in_crowd(1e-5, 1e-2, births, 0.9, 4.0, weights) == pytest.approx(expected)
 
 
 def test_overlap_of_views() -> None:

@@ -43,7 +43,7 @@ def with_cameras(template: PhdFilter | PmbFilter, parameters: ParameterSet, valu
     ("kind", "motion", "region", "settings"),
     [
         ("phd", None, None, {}),
-        ("phd", None, REGION, {"merge_rule": "vo_ma"}),
+        ("phd", None, REGION, {"merge_moments": "intensity"}),
         ("phd", Static(), None, {"max_components": 12, "missed": "keep"}),
         ("pmb", None, None, {}),
         ("pmb", ConstantVelocity([0.3, 0.3, 0.3]), REGION, {"max_components": 8}),

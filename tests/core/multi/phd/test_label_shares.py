@@ -40,7 +40,7 @@ def enumerated(
 @pytest.mark.parametrize("seed", range(10))
 def test_against_enumeration(seed: int) -> None:
     rng = np.random.default_rng(seed)
-    labels = rng.integers(-1, 5, 12)
+    labels = rng.integers(0, 5, 12)
     pairs = [(i, j) for i in range(12) for j in range(6) if rng.uniform() < 0.3]
     components, detections = np.array(pairs).T
     joint = rng.uniform(0.1, 2.0, len(pairs))

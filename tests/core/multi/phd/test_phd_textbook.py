@@ -30,7 +30,7 @@ FRAMES = 25
 CAP = 25
 TOLERANCE = 1e-10
 # Differences over parts of standard deviations of 3e-6 of the disparity leave rounding.
-LINEAR_TOLERANCE = 1e-7
+LINEAR_TOLERANCE = 1e-6
 
 
 @dataclass(frozen=True)
@@ -53,7 +53,7 @@ class LinearCase:
         )
         return make_filter(
             [self.camera], self.motion, method, 128, prior, BIRTHS, self.baseline, survival_per_s=SURVIVAL,
-            prune_weight=1e-6, merge_distance=7.0, max_components=CAP, merge_rule="vo_ma", merge_moments="intensity",
+            prune_weight=1e-6, merge_distance=7.0, max_components=CAP, merge_moments="intensity",
         )  # fmt: skip
 
     def textbook(self) -> TextbookPhd:

@@ -58,8 +58,8 @@ class TextbookPhd:
         return float(log_likelihood)
 
 
-def reduce(mixture: list[Component], prune: float, merge: float, cap: int, mutual: bool = False) -> list[Component]:
-    """Prune, merge and cap (Table II of the paper)."""
+def reduce(mixture: list[Component], prune: float, merge: float, cap: int) -> list[Component]:
+    """Prune, merge what is near in the covariances of both, and cap."""
     left = [c for c in mixture if c[0] >= prune]
     merged = []
     while left:
@@ -67,9 +67,7 @@ def reduce(mixture: list[Component], prune: float, merge: float, cap: int, mutua
         near, rest = [], []
         for w, m, p in left:
             d = m - center
-            distance = d @ np.linalg.solve(p, d)
-            if mutual:
-                distance = max(distance, d @ np.linalg.solve(wide, d))
+            distance = max(d @ np.linalg.solve(p, d), d @ np.linalg.solve(wide, d))
             (near if distance <= merge else rest).append((w, m, p))
         total = sum(w for w, _, _ in near)
         mean = sum(w * m for w, m, _ in near) / total

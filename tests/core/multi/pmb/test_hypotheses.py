@@ -9,7 +9,7 @@ from stereophd.core.disparity.events import Event, make_event
 from stereophd.core.multi.association.belief import propagate_beliefs
 from stereophd.core.multi.pmb.filter import PmbFilter
 from stereophd.core.multi.pmb.hypotheses import LEAST_BOUND, choose_hypotheses
-from stereophd.core.multi.state.mixture import UNLABELLED, GaussianMixture
+from stereophd.core.multi.state.mixture import GaussianMixture
 from stereophd.core.multi.state.outcomes import Outcomes
 from stereophd.pipeline.checks.run_checks import MOST_UNDECIDED
 from tests.core.multi.pmb.test_pmb import assert_sound, make_pmb
@@ -39,8 +39,7 @@ def existences(mixture: GaussianMixture) -> dict[int, float]:
     """Existence of each track by its label."""
     found: dict[int, float] = {}
     for label, weight in zip(mixture.labels.tolist(), mixture.weights.tolist(), strict=True):
-        if label != UNLABELLED:
-            found[label] = found.get(label, 0.0) + weight
+        found[label] = found.get(label, 0.0) + weight
     return found
 
 

@@ -13,8 +13,8 @@ import numpy as np
 
 from tests.core.multi.phd.textbook import Component, reduce
 
-# what the package documents that it leaves out: pairs beyond this distance, hypotheses below this share
-REACH, LEAST_SHARE = 9.0, 1e-4
+# what the package documents that it leaves out: pairs beyond this distance
+REACH = 9.0
 
 
 def exact_marginals(odds: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, float]:
@@ -52,7 +52,7 @@ def mixed(parts: list[Component]) -> tuple[np.ndarray, np.ndarray]:
 
 @dataclass
 class TextbookPmb:
-    """Fields as `TextbookPhd`; `tracks` are Bernoullis (existence, mean, covariance), `unseen` is Poisson."""
+    """Fields as `TextbookPhd`; `tracks` are Bernoullis (existence, mean, covariance)."""
 
     transition: np.ndarray
     process: np.ndarray
@@ -64,11 +64,9 @@ class TextbookPmb:
     area: float
     birth_mean: np.ndarray
     birth_covariance: np.ndarray
-    recycle: float
     prune: float
     merge: float
     tracks: list[Component] = field(default_factory=list)
-    unseen: list[Component] = field(default_factory=list)
 
     def predict(self, mixture: list[Component]) -> list[Component]:
         f = self.transition
@@ -86,19 +84,16 @@ class TextbookPmb:
 
     def step(self, detections: np.ndarray) -> float:
         """Predict and update with the detections (m, 2) of a frame; return their log-likelihood."""
-        tracks, unseen = self.predict(self.tracks), self.predict(self.unseen)
+        tracks = self.predict(self.tracks)
         pd, born = self.p_detect, self.p_detect * self.births / self.area
         old = [[self.updated(z, m, p) for z in detections] for _, m, p in tracks]
-        recycled = [[self.updated(z, m, p) for _, m, p in unseen] for z in detections]
-        weights = pd * np.array([w for w, _, _ in unseen])
-        first = np.array([born + sum(weights * [u[0] for u in row]) for row in recycled])
-        other = self.clutter / self.area + first
+        other = self.clutter / self.area + born
         missed = np.array([1.0 - pd * r for r, _, _ in tracks])
         odds = np.array([[u[0] for u in row] for row in old]).reshape(len(tracks), len(detections))
         odds = odds * np.array([pd * r for r, _, _ in tracks])[:, None] / missed[:, None] / other
         pair, none, unclaimed, evidence = exact_marginals(odds)
-        log_likelihood = evidence + np.log(other).sum() + np.log(missed).sum()
-        log_likelihood -= self.clutter + pd * self.births + pd * sum(w for w, _, _ in unseen)
+        log_likelihood = evidence + len(detections) * np.log(other) + np.log(missed).sum()
+        log_likelihood -= self.clutter + pd * self.births
 
         after: list[Component] = []
         for i, (r, m, p) in enumerate(tracks):
@@ -108,16 +103,7 @@ class TextbookPmb:
             shares = [c for c in shares if c[0] > 0.0]
             after.append((min(existence, 1.0), *mixed([(still, m, p), *shares])))
         for j, z in enumerate(detections):
-            existence = unclaimed[j] * first[j] / other[j]
-            parts = [(born / first[j], np.concatenate([z, self.birth_mean]), self.birth_covariance)]
-            for (w, _, _), (density, m, p) in zip(unseen, recycled[j], strict=True):
-                share = pd * w * density / first[j]
-                if share > LEAST_SHARE and existence >= self.prune:
-                    parts.append((share, m, p))
-            after.append((existence, *mixed(parts)))
-        weak = [c for c in after if c[0] < self.recycle]
-        weak += [((1.0 - pd) * w, m, p) for w, m, p in unseen]
-        self.unseen = [c for c in weak if c[0] >= self.prune]
-        strong = reduce([c for c in after if c[0] >= self.recycle], 0.0, self.merge, 10**6, mutual=True)
+            after.append((unclaimed[j] * born / other, np.concatenate([z, self.birth_mean]), self.birth_covariance))
+        strong = reduce([c for c in after if c[0] >= self.prune], 0.0, self.merge, 10**6)
         self.tracks = [(min(r, 1.0), m, p) for r, m, p in strong]
         return float(log_likelihood)

@@ -12,10 +12,10 @@ from tests.core.multi.scenes import make_mixture, random_mixture
 
 
 def reduce_mixture(
-    mixture: GaussianMixture, prune_weight: float, distance: float, most: int, mutual: bool = True
+    mixture: GaussianMixture, prune_weight: float, distance: float, most: int
 ) -> tuple[GaussianMixture, int]:
     """Reduce with the moments of the intensity."""
-    return reduce_intensity(mixture, mixture.weights, PhdReduction(prune_weight, distance, most, mutual, False))
+    return reduce_intensity(mixture, mixture.weights, PhdReduction(prune_weight, distance, most, False))
 
 
 def by_chart(mixture: GaussianMixture) -> dict[tuple[int, float], list]:
@@ -26,16 +26,15 @@ def by_chart(mixture: GaussianMixture) -> dict[tuple[int, float], list]:
     return charts
 
 
-@pytest.mark.parametrize("mutual", [False, True])
 @pytest.mark.parametrize("size", [3, 6])
 @pytest.mark.parametrize("seed", range(5))
-def test_against_the_naive_version_chart_by_chart(seed: int, size: int, mutual: bool) -> None:
+def test_against_the_naive_version_chart_by_chart(seed: int, size: int) -> None:
     mixture = random_mixture(np.random.default_rng(seed), 80, size, spread=1.2)
-    found, _ = reduce_mixture(mixture, 1e-3, 7.0, 1000, mutual)
+    found, _ = reduce_mixture(mixture, 1e-3, 7.0, 1000)
     assert 10 < found.size < (mixture.weights >= 1e-3).sum()
     found_charts = by_chart(found)
     for chart, components in by_chart(mixture).items():
-        expected = reduce(components, 1e-3, 7.0, 1000, mutual)
+        expected = reduce(components, 1e-3, 7.0, 1000)
         assert len(found_charts[chart]) == len(expected)
         for (w, m, p), (w_e, m_e, p_e) in zip(found_charts[chart], expected, strict=True):
             assert w == pytest.approx(w_e, rel=1e-12)
@@ -43,18 +42,15 @@ def test_against_the_naive_version_chart_by_chart(seed: int, size: int, mutual: 
             np.testing.assert_allclose(p, p_e, rtol=1e-10, atol=1e-12)
 
 
-def test_the_rules_of_merging_differ() -> None:
-    """A known place near a vague one: the textbook merges them, the mutual rule keeps them apart."""
+def test_a_known_place_stays_apart_from_a_vague_one() -> None:
     covariances = [np.eye(3) * 0.01, np.eye(3) * 4.0]
     mixture = make_mixture([0.9, 0.1], [[0.0, 0, 0], [1.0, 0, 0]], covariances, size=3)
-    assert reduce_mixture(mixture, 1e-6, 7.0, 10, mutual=False)[0].size == 1
-    assert reduce_mixture(mixture, 1e-6, 7.0, 10, mutual=True)[0].size == 2
+    assert reduce_mixture(mixture, 1e-6, 7.0, 10)[0].size == 2
 
 
-@pytest.mark.parametrize("mutual", [False, True])
-def test_only_the_same_chart_merges(mutual: bool) -> None:
+def test_only_the_same_chart_merges() -> None:
     mixture = make_mixture([0.5, 0.4, 0.3, 0.2], cameras=[0, 1, 0, 0], times=[1.0, 1.0, 2.0, 1.0])
-    found, _ = reduce_mixture(mixture, 1e-6, 7.0, 10, mutual)
+    found, _ = reduce_mixture(mixture, 1e-6, 7.0, 10)
     assert found.weights.tolist() == pytest.approx([0.7, 0.4, 0.3])
     assert found.cameras.tolist() == [0, 1, 0]
     assert found.times.tolist() == [1.0, 1.0, 2.0]
