@@ -59,7 +59,7 @@ def test_only_the_same_chart_merges() -> None:
 def test_merging_keeps_mass_and_moments() -> None:
     mixture = random_mixture(np.random.default_rng(9), 40, charts=1, spread=0.5)
     mixture = make_mixture(mixture.weights, mixture.means, mixture.covariances)
-    found, _ = reduce_mixture(mixture, 0.0, 1e6, 1000, False)
+    found, _ = reduce_mixture(mixture, 0.0, 1e6, 1000)
     assert found.size == 1
     assert found.weights[0] == pytest.approx(mixture.weights.sum(), rel=1e-12)
     share = mixture.weights / mixture.weights.sum()
@@ -71,7 +71,7 @@ def test_merging_keeps_mass_and_moments() -> None:
 
 def test_shares_decide_moments_and_weights_decide_the_rest() -> None:
     mixture = make_mixture([0.2, 0.7], np.array([0.0, 1.0])[:, None] * np.ones(6), labels=[4, 5])
-    found, _ = reduce_intensity(mixture, np.array([0.6, 0.2]), PhdReduction(1e-6, 7.0, 10, True, True))
+    found, _ = reduce_intensity(mixture, np.array([0.6, 0.2]), PhdReduction(1e-6, 7.0, 10, True))
     assert found.weights.tolist() == pytest.approx([0.9])
     assert found.labels.tolist() == [5]
     np.testing.assert_allclose(found.means[0], 0.25)
