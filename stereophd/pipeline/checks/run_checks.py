@@ -1,6 +1,7 @@
 """Checks of a finished tracking run: is the log explained, by more than one camera; what was left out; detectors."""
 
 from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
 from functools import cache
 from typing import Any
 
@@ -44,6 +45,35 @@ MOST_LASTING = 0.05
 MOST_UNDECIDED = 0.005
 # A track is one camera's if this share of its detections is; reported if most estimates belong to such tracks.
 ONE_CAMERA, MOST_ALONE = 0.95, 0.5
+
+
+@dataclass(frozen=True)
+class Run:
+    """A finished run, as its checks see it."""
+
+    summary: Mapping[str, Any]  # The figures of the run, as in ``report.json``
+    counts: Mapping[str, int]  # Those of the log: ``detections``, ``frames``, ``rows``, the kinds of bad rows
+    cameras: tuple[Camera, ...]
+    has_noise: bool  # Whether the log states the noise of each detection
+    has_boxes: bool = False  # Whether bodies were tracked
+    can_estimate: bool = False  # Whether `track` can estimate the acceleration, and has not
+
+    def checked(
+        self, before: tuple[Finding, ...], since: Callable[[float], tuple[Finding, ...]]
+    ) -> tuple[Finding, ...]:
+        """Return what tracks show, after the checks `before` the run, which also tell what is so `since` a time."""
+        summary, counts, cameras = self.summary, self.counts, self.cameras
+        found = (*before, *check_tracking(summary, counts, cameras))
+        if not (self.has_boxes or self.has_noise):  # the residuals of bodies are their own, and so is each noise
+            found += tuple(once_mended(check_errors(summary, self.can_estimate), found))
+        found += tuple(check_knocks(summary, found, since))
+        if not self.has_boxes:
+            # the middle of a box is not the image of the middle of a body
+            noise = check_noise(summary, cameras, self.has_noise, found)
+            found += tuple(once_mended(noise, found, but=("detector.sigma", "tracking.errors")))
+        # errors that last and are smaller than the noise take no detection from a track
+        found += tuple(once_mended(check_detections(summary, cameras), found, but=(ERRORS_LAST,)))
+        return (*found[len(before) :], *check_losses(summary, counts))
 
 
 def check_tracking(

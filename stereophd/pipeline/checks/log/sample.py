@@ -110,8 +110,9 @@ class CameraSample:
 
     @cached_property
     def interval_s(self) -> float:
-        """Median interval between successive frames, s; NaN with fewer than two frames."""
-        return float(np.median(np.diff(self.times))) if len(self.times) > 1 else float("nan")
+        """Median interval between successive frames of different times, s; NaN without any."""
+        steps = np.diff(self.times)
+        return float(np.median(steps[steps > 0.0])) if steps.any() else float("nan")
 
     @cached_property
     def frame_of(self) -> Integers:
