@@ -214,12 +214,13 @@ def check_ends(summary: Mapping[str, Any]) -> Iterator[Finding]:
     """Yield a warning where all tracks end together long before the log does: no camera sees anything for a time.
 
     Objects come and go independently: of k tracks, that the others end within a time w of one has the probability
-    (1 - exp(-r w))^(k - 1), with the rate r of ends elsewhere. Every end is asked.
+    (1 - exp(-r w))^(k - 1), with the rate r of ends elsewhere, and no less than a frame for w. Every end is asked.
     """
     tracks = summary["tracks"]
     first, last = (np.array([track[key] for track in tracks], dtype=np.float64) for key in ("first_s", "last_s"))
     longest_s, ends = LAST_PART * summary["duration_s"], np.sort(last)
     end_s = (summary["first_s"] or 0.0) + summary["duration_s"] - longest_s
+    frame_s = summary["duration_s"] * len(summary["cameras"]) / max(summary["events"], 1)
     asked = np.arange(np.searchsorted(ends, end_s))
     counts = np.searchsorted(np.sort(first), ends[asked]) - asked
     enough = (np.searchsorted(ends, ends[asked] + longest_s, side="right") - asked >= counts) & (
@@ -231,7 +232,7 @@ def check_ends(summary: Mapping[str, Any]) -> Iterator[Finding]:
         rate = max(len(asked) - count + 1, 1) / max(float((last - first).sum()), 1e-300)
         if count < LEAST_TOGETHER or within_s > longest_s:
             continue
-        if len(tracks) * (-np.expm1(-rate * within_s)) ** (count - 1) < LEAST_BY_CHANCE:
+        if len(tracks) * (-np.expm1(-rate * (within_s + frame_s))) ** (count - 1) < LEAST_BY_CHANCE:
             yield Finding(
                 "tracking.ends", "warning",
                 f"all {count} tracks end at {instant(at_s)} s, and those after it are new ones: from then on no "

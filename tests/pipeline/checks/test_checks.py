@@ -1143,7 +1143,10 @@ def test_times_of_few_digits_are_those_of_several_frames() -> None:
 def test_tracks_that_all_end_together_before_the_log_does_are_named(ends: tuple[float, ...], named: bool) -> None:
     tracks = [{"first_s": 0.1, "last_s": end} for end in ends]
     summary = {"tracks": [*tracks, {"first_s": 1.0, "last_s": 1.5}], "first_s": 0.0, "duration_s": 20.0}
+    summary |= {"events": 400, "cameras": {"left": {}, "right": {}}}
     assert [one.cause for one in check_ends(summary)] == ["ends_together"] * named
+    # frames of 2.5 s do not show that they end together
+    assert not [*check_ends({**summary, "events": 16})]
     # new tracks after it do not change it
     later = [{"first_s": 12.0, "last_s": 20.0} for _ in ends]
     assert bool([*check_ends({**summary, "tracks": summary["tracks"] + later})]) == named
