@@ -45,7 +45,7 @@ from stereophd.pipeline.cameras_covariance import in_world as uncertainty_in_wor
 from stereophd.pipeline.cameras_covariance import rows_of
 from stereophd.pipeline.checks.check_log import check_log, report_findings
 from stereophd.pipeline.checks.finding import Finding
-from stereophd.pipeline.checks.run_checks import Run
+from stereophd.pipeline.checks.run_checks import FinishedRun
 from stereophd.pipeline.control import points_report
 from stereophd.pipeline.runs.progress import Progress, ignore
 from stereophd.pipeline.runs.sizes import check_size
@@ -222,5 +222,5 @@ def _track(
     checked = check_log(loaded, log_path, of_rows=False, cameras=cameras)
     known = BY_ITSELF if calibration_section(loaded).method == "annealed" else ""
     since = functools.partial(check_log, loaded, log_path, False, cameras)
-    findings = Run(summary, stream.counts, cameras, stream.has_noise).checked(checked, since)
+    findings = FinishedRun(summary, stream.counts, cameras, stream.has_noise).checked(checked, since)
     return summary, (*(f for f in checked if f.name.startswith(WITH_CAMERAS) and f.name != known), *findings)

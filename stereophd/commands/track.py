@@ -151,8 +151,8 @@ class _Outputs:
         counts = self.stream.counts
         LOGGER.info("%s: %d frames, %d detections", self.stream.source, counts["frames"], counts["detections"])
         can_estimate = tracking.motion.moves and not isinstance(tracking.estimator, SingleTracker) and not self.motion
-        run = run_checks.Run(
-            summary, counts, tracking.cameras, self.stream.has_noise, bool(tracking.boxes), can_estimate
+        run = run_checks.FinishedRun(
+            summary, counts, tracking.cameras, self.stream.has_noise, tracking.boxes, can_estimate
         )
         since = functools.partial(check_log, loaded, self.stream.source, False, tracking.cameras)
         findings += run.checked(findings, since)

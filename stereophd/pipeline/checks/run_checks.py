@@ -51,7 +51,7 @@ LEAST_TOGETHER, LEAST_BY_CHANCE, LAST_PART = 3, 1e-3, 0.05
 
 
 @dataclass(frozen=True)
-class Run:
+class FinishedRun:
     """A finished run, as its checks see it."""
 
     summary: Mapping[str, Any]  # The figures of the run, as in ``report.json``
