@@ -1,6 +1,7 @@
 """Calibrate cameras from a detection log: poses with their posterior, history, tracks and a report."""
 
 import contextlib
+import functools
 import math
 import time
 from dataclasses import replace
@@ -44,7 +45,7 @@ from stereophd.pipeline.cameras_covariance import in_world as uncertainty_in_wor
 from stereophd.pipeline.cameras_covariance import rows_of
 from stereophd.pipeline.checks.check_log import check_log, report_findings
 from stereophd.pipeline.checks.finding import Finding
-from stereophd.pipeline.checks.run_checks import check_losses, check_noise, check_tracking
+from stereophd.pipeline.checks.run_checks import FinishedRun
 from stereophd.pipeline.control import points_report
 from stereophd.pipeline.runs.progress import Progress, ignore
 from stereophd.pipeline.runs.sizes import check_size
@@ -220,7 +221,6 @@ def _track(
     summary = run.write(run.records(stream), out, metadata, uncertainty=uncertainty)
     checked = check_log(loaded, log_path, of_rows=False, cameras=cameras)
     known = BY_ITSELF if calibration_section(loaded).method == "annealed" else ""
-    findings = [found for found in checked if found.name.startswith(WITH_CAMERAS) and found.name != known]
-    noise = check_noise(summary, cameras, stream.has_noise, checked)
-    losses = check_losses(summary, stream.counts)
-    return summary, (*findings, *check_tracking(summary, stream.counts, cameras), *noise, *losses)
+    since = functools.partial(check_log, loaded, log_path, False, cameras)
+    findings = FinishedRun(summary, stream.counts, cameras, stream.has_noise).checked(checked, since)
+    return summary, (*(f for f in checked if f.name.startswith(WITH_CAMERAS) and f.name != known), *findings)

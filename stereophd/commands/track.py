@@ -24,7 +24,7 @@ from stereophd.options import takes
 from stereophd.pipeline.cameras_covariance import stated_uncertainty
 from stereophd.pipeline.checks import run_checks
 from stereophd.pipeline.checks.check_log import check_log, report_findings
-from stereophd.pipeline.checks.finding import ERRORS_LAST, Finding, once_mended
+from stereophd.pipeline.checks.finding import Finding
 from stereophd.pipeline.initial.acceleration import with_estimated_motion
 from stereophd.pipeline.runs.progress import Progress, ignore
 from stereophd.pipeline.runs.unfinished import UNFINISHED_FILES, UnfinishedRun
@@ -150,20 +150,12 @@ class _Outputs:
         summary = tracking.write(records, out, metadata, kept, uncertainty)
         counts = self.stream.counts
         LOGGER.info("%s: %d frames, %d detections", self.stream.source, counts["frames"], counts["detections"])
-        findings += tuple(run_checks.check_tracking(summary, counts, tracking.cameras))
-        of_many = tracking.motion.moves and not isinstance(tracking.estimator, SingleTracker)
-        if not (tracking.boxes or self.stream.has_noise):  # the residuals of bodies are their own, and so is each noise
-            findings += tuple(once_mended(run_checks.check_errors(summary, of_many and self.motion is None), findings))
+        can_estimate = tracking.motion.moves and not isinstance(tracking.estimator, SingleTracker) and not self.motion
+        run = run_checks.FinishedRun(
+            summary, counts, tracking.cameras, self.stream.has_noise, tracking.boxes, can_estimate
+        )
         since = functools.partial(check_log, loaded, self.stream.source, False, tracking.cameras)
-        findings += tuple(run_checks.check_knocks(summary, findings, since))
-        if not tracking.boxes:
-            # the middle of a box is not the image of the middle of a body
-            noise = run_checks.check_noise(summary, tracking.cameras, self.stream.has_noise, findings)
-            findings += tuple(once_mended(noise, findings, but=("detector.sigma", "tracking.errors")))
-        detected = run_checks.check_detections(summary, tracking.cameras)
-        # errors that last and are smaller than the noise take no detection from a track
-        findings += tuple(once_mended(detected, findings, but=(ERRORS_LAST,)))
-        findings += tuple(run_checks.check_losses(summary, counts))
+        findings += run.checked(findings, since)
         findings += tuple(run_checks.check_estimated_detectors(tracking.detectors))
         report = {
             "report_version": REPORT_VERSION,

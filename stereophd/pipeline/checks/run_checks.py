@@ -1,6 +1,7 @@
 """Checks of a finished tracking run: is the log explained, by more than one camera; what was left out; detectors."""
 
 from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
 from functools import cache
 from typing import Any
 
@@ -44,6 +45,38 @@ MOST_LASTING = 0.05
 MOST_UNDECIDED = 0.005
 # A track is one camera's if this share of its detections is; reported if most estimates belong to such tracks.
 ONE_CAMERA, MOST_ALONE = 0.95, 0.5
+# Tracks that end together, at least; the probability of chance, ends independent, below which they do not by chance;
+# and the last part of a log, in which tracks end with it.
+LEAST_TOGETHER, LEAST_BY_CHANCE, LAST_PART = 3, 1e-3, 0.05
+
+
+@dataclass(frozen=True)
+class FinishedRun:
+    """A finished run, as its checks see it."""
+
+    summary: Mapping[str, Any]  # The figures of the run, as in ``report.json``
+    counts: Mapping[str, int]  # Those of the log: ``detections``, ``frames``, ``rows``, the kinds of bad rows
+    cameras: tuple[Camera, ...]
+    has_noise: bool  # Whether the log states the noise of each detection
+    has_boxes: bool = False  # Whether bodies were tracked
+    can_estimate: bool = False  # Whether `track` can estimate the acceleration, and has not
+
+    def checked(
+        self, before: tuple[Finding, ...], since: Callable[[float], tuple[Finding, ...]]
+    ) -> tuple[Finding, ...]:
+        """Return what tracks show, after the checks `before` the run, which also tell what is so `since` a time."""
+        summary, counts, cameras = self.summary, self.counts, self.cameras
+        found = (*before, *check_tracking(summary, counts, cameras))
+        if not (self.has_boxes or self.has_noise):  # the residuals of bodies are their own, and so is each noise
+            found += tuple(once_mended(check_errors(summary, self.can_estimate), found))
+        found += (*check_knocks(summary, found, since), *check_ends(summary))
+        if not self.has_boxes:
+            # the middle of a box is not the image of the middle of a body
+            noise = check_noise(summary, cameras, self.has_noise, found)
+            found += tuple(once_mended(noise, found, but=("detector.sigma", "tracking.errors")))
+        # errors that last and are smaller than the noise take no detection from a track
+        found += tuple(once_mended(check_detections(summary, cameras), found, but=(ERRORS_LAST,)))
+        return (*found[len(before) :], *check_losses(summary, counts))
 
 
 def check_tracking(
@@ -175,6 +208,39 @@ def check_errors(summary: Mapping[str, Any], can_estimate: bool) -> Iterator[Fin
             remedy = "let track estimate it (motion.acceleration_std: estimate), or state a larger one"
             change = "motion.acceleration_std=estimate"
     yield Finding("tracking.errors", "warning", text, round(most, 3), 0.0, None, remedy, cause, change)
+
+
+def check_ends(summary: Mapping[str, Any]) -> Iterator[Finding]:
+    """Yield a warning where all tracks end together long before the log does: no camera sees anything for a time.
+
+    Objects come and go independently: of k tracks, that the others end within a time w of one has the probability
+    (1 - exp(-r w))^(k - 1), with the rate r of ends elsewhere, and no less than a frame for w. Every end is asked.
+    """
+    tracks = summary["tracks"]
+    first, last = (np.array([track[key] for track in tracks], dtype=np.float64) for key in ("first_s", "last_s"))
+    longest_s, ends = LAST_PART * summary["duration_s"], np.sort(last)
+    end_s = (summary["first_s"] or 0.0) + summary["duration_s"] - longest_s
+    frame_s = summary["duration_s"] * len(summary["cameras"]) / max(summary["events"], 1)
+    asked = np.arange(np.searchsorted(ends, end_s))
+    counts = np.searchsorted(np.sort(first), ends[asked]) - asked
+    enough = (np.searchsorted(ends, ends[asked] + longest_s, side="right") - asked >= counts) & (
+        counts >= LEAST_TOGETHER
+    )
+    for at_s in ends[asked[enough]].tolist():
+        alive = (first < at_s) & (last >= at_s)
+        count, within_s = int(alive.sum()), float(last[alive].max() - at_s)
+        rate = max(len(asked) - count + 1, 1) / max(float((last - first).sum()), 1e-300)
+        if count < LEAST_TOGETHER or within_s > longest_s:
+            continue
+        if len(tracks) * (-np.expm1(-rate * (within_s + frame_s))) ** (count - 1) < LEAST_BY_CHANCE:
+            yield Finding(
+                "tracking.ends", "warning",
+                f"all {count} tracks end at {instant(at_s)} s, and those after it are new ones: from then on no "
+                "camera sees anything for a time, or all objects leave together",
+                round(at_s, 3), None, None, "look whether the detector or the recording failed then",
+                "ends_together",
+            )  # fmt: skip
+            return
 
 
 def check_knocks(

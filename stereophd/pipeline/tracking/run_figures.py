@@ -254,6 +254,7 @@ class RunFigures:
         """Return the figures of a run that wrote so many reports and so many estimates, tentative ones included."""
         return {
             "events": self.events,
+            "first_s": finite_or_none(self.first_s),
             "duration_s": self.last_s - self.first_s,
             "reports": reports,
             "estimates": self.confirmed,

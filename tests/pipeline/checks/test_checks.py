@@ -44,6 +44,7 @@ from stereophd.pipeline.checks.log.log_checks import check_files, check_times
 from stereophd.pipeline.checks.log.sample import CameraSample, sample_log
 from stereophd.pipeline.checks.run_checks import (
     check_detections,
+    check_ends,
     check_estimated_detectors,
     check_losses,
     check_noise,
@@ -1112,3 +1113,40 @@ def test_a_guessed_pose_passes_for_no_mistake_far_away() -> None:
         causes += [found.cause for found in check_geometry(geometry) if found.status == "warning"]
     assert set(causes) == {"rays_do_not_meet"}
     assert len(causes) >= 4
+
+
+def test_frames_that_repeat_the_one_before_are_named() -> None:
+    frames = _frames(CAMERAS, count=80)
+    for place in range(20, len(frames), 10):
+        frames[place] = replace(frames[place], pixels=frames[place - 2].pixels)
+    found = {one.camera: one for one in check_files(sample_log(frames, CAMERAS)) if one.cause == "frames_repeated"}
+    assert set(found) == {"left"}
+    assert found["left"].value == pytest.approx(0.175, abs=0.01)
+    # whole pixels, or a scene at rest, agree by chance
+    whole = [replace(frame, pixels=np.round(frame.pixels)) for frame in frames]
+    still = [replace(frame, pixels=frames[frame.camera].pixels) for frame in frames]
+    for others in (whole, still, _frames(CAMERAS, count=80)):
+        assert not any(one.cause == "frames_repeated" for one in check_files(sample_log(others, CAMERAS)))
+
+
+def test_times_of_few_digits_are_those_of_several_frames() -> None:
+    (sample,) = sample_log([Frame(round(k / 30.0, 1), 0, k, np.empty((0, 2))) for k in range(30)], CAMERAS[:1])
+    assert sample.interval_s == pytest.approx(0.1)
+    (sample,) = sample_log([Frame(1.0, 0, k, np.empty((0, 2))) for k in range(3)], CAMERAS[:1])
+    assert np.isnan(sample.interval_s)
+
+
+@pytest.mark.parametrize(("ends", "named"), [
+    ((10.0, 10.05, 10.1, 10.1), True), ((10.0, 10.05, 10.1, 20.0), False), ((3.0, 10.0, 12.0, 20.0), False),
+    ((10.0,), False), ((19.9, 19.95, 20.0, 20.0), False),
+])  # fmt: skip
+def test_tracks_that_all_end_together_before_the_log_does_are_named(ends: tuple[float, ...], named: bool) -> None:
+    tracks = [{"first_s": 0.1, "last_s": end} for end in ends]
+    summary = {"tracks": [*tracks, {"first_s": 1.0, "last_s": 1.5}], "first_s": 0.0, "duration_s": 20.0}
+    summary |= {"events": 400, "cameras": {"left": {}, "right": {}}}
+    assert [one.cause for one in check_ends(summary)] == ["ends_together"] * named
+    # frames of 2.5 s do not show that they end together
+    assert not [*check_ends({**summary, "events": 16})]
+    # new tracks after it do not change it
+    later = [{"first_s": 12.0, "last_s": 20.0} for _ in ends]
+    assert bool([*check_ends({**summary, "tracks": summary["tracks"] + later})]) == named

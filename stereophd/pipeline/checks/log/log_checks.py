@@ -31,6 +31,8 @@ MOST_CLOSE, LEAST_CLOSE = 0.2, 30
 NOISE_FACTOR = 4.0
 # Share of the shorter period that the periods of two cameras must share.
 LEAST_OVERLAP = 0.05
+# Share of the frames that repeat the one before, from which tracks lag.
+MOST_REPEATED = 0.01
 # Places that are named, and the radius in which their detections may be left out, px.
 MOST_SHOWN, PLACE_RADIUS_PX = 5, 2.0
 # Difference of the logarithms of what the coordinates of a principal point are scaled by in another resolution.
@@ -65,6 +67,13 @@ def check_files(
         yield from frames
         yield _image(sample)
         yield from _places(sample)
+        if (repeated := sample.repeated_share) > MOST_REPEATED:
+            yield Finding(
+                "log.frames", "warning",
+                f"{sample.camera.name}: {percent(repeated)} of the frames have the detections of the frame before to "
+                "the last digit: frames are repeated, and show objects where they were", round(repeated, 3), 0.0,
+                sample.camera.name, "leave the repeated frames out of the log", "frames_repeated",
+            )  # fmt: skip
         is_stated = sample.camera.name not in estimated
         yield from (one for one in _detector(sample) if is_stated or not one.name.startswith("detector."))
     seen = [sample.camera.name for sample in samples if len(sample.pixels)]

@@ -30,6 +30,8 @@ LEAST_CONTINUED_FRAMES, LEAST_CONTINUED = 8, 20
 # Places in an image are distinguished to this many pixels; one lasts if it detects in so many frames and in this share
 # of them, unless this share of all detections is at such places: then the scene rests.
 PLACE_PX, LEAST_PLACE_FRAMES, LEAST_PLACE_SHARE, MOST_RESTING = 1.0, 60, 0.1, 0.5
+# Different fractions of pixels, in parts of all detections, from which no two agree to the last digit by chance.
+LEAST_FINE = 0.2
 # Standard deviations within which two detections of a frame may be of one object.
 CLOSE = 6.0
 # Differences from which noise is estimated, and the relative error of a variance from their median over the root of
@@ -110,8 +112,9 @@ class CameraSample:
 
     @cached_property
     def interval_s(self) -> float:
-        """Median interval between successive frames, s; NaN with fewer than two frames."""
-        return float(np.median(np.diff(self.times))) if len(self.times) > 1 else float("nan")
+        """Median interval between successive frames of different times, s; NaN without any."""
+        steps = np.diff(self.times)
+        return float(np.median(steps[steps > 0.0])) if steps.any() else float("nan")
 
     @cached_property
     def frame_of(self) -> Integers:
@@ -204,6 +207,21 @@ class CameraSample:
             for step in (0, max(2, min(len(self.times) // 3, 200)))
         ]
         return shares[0] - shares[1]
+
+    @property
+    def repeated_share(self) -> float:
+        """Share of the frames whose detections are all those of the frame before, to the last digit; 0 if by chance.
+
+        Pixels of few digits and those of a scene at rest agree by chance.
+        """
+        counts, numbers = np.diff(self.first), np.arange(len(self.pixels))
+        before = np.append(0, counts[:-1])[self.frame_of]
+        own = counts[self.frame_of]
+        alike = (before == own) & (self.pixels == self.pixels[numbers - own]).all(axis=1)
+        repeated = (np.bincount(self.frame_of, alike, len(counts)) == counts) & (counts > 0)
+        fresh = np.unique(self.pixels[~repeated[self.frame_of], 0])
+        is_fine = len(np.unique(fresh % 1.0)) >= LEAST_FINE * len(self.pixels)
+        return float(repeated.sum() / len(counts)) if is_fine and len(counts) else 0.0
 
     @property
     def lasting_places(self) -> list[tuple[Array, int]]:
