@@ -68,23 +68,22 @@ def _speed(samples: list[CameraSample], depth: float) -> Array | None:
         most = noise if sample.noise_px is None else max(noise, scale * sample.noise_px[2])
         places = depth * sample.camera.rays(sample.pixels)[:, :2]
         for track in sample.tracks:
-            times = sample.times[sample.frame_of[track]]
-            if np.ptp(times) <= 0.0:
-                continue
-            (velocity,), (share,), _ = _velocities(times[None], scale * sample.pixels[None, track])
-            speed = float(np.hypot(*velocity))
-            squares.append(speed**2 - 2.0 * share * noise**2)
-            least.append(max(speed - 3.0 * np.sqrt(share) * noise, 0.0))
-            size = min(max(len(track) // 2, LEAST_WINDOW), WINDOW)
+            # what turns comes back: over all of a long track it hardly moves
+            size = len(track) if len(track) < 2 * LEAST_WINDOW else min(len(track) // 2, WINDOW)
             windows = track[: len(track) // size * size].reshape(-1, size)
-            velocities, shares, middles = _velocities(sample.times[sample.frame_of[windows]], places[windows])
-            between, steps = np.diff(middles), np.diff(velocities, axis=0)
-            # of what moves straight on the image moves along a line, faster or slower: what is across it shows turns
-            along = velocities[1:] + velocities[:-1]
-            length = np.maximum(np.linalg.norm(along, axis=1), np.finfo(np.float64).tiny)
-            across = (steps[:, 0] * along[:, 1] - steps[:, 1] * along[:, 0]) / length
-            more = (across**2 - (shares[1:] + shares[:-1]) * most**2) / between
-            if np.isfinite(more).all():
+            with np.errstate(divide="ignore", invalid="ignore"):  # of one time
+                velocities, shares, middles = _velocities(sample.times[sample.frame_of[windows]], places[windows])
+                between, steps = np.diff(middles), np.diff(velocities, axis=0)
+                # of what moves straight on the image moves along a line, faster or slower: what is across it shows
+                # turns
+                along = velocities[1:] + velocities[:-1]
+                length = np.maximum(np.linalg.norm(along, axis=1), np.finfo(np.float64).tiny)
+                across = (steps[:, 0] * along[:, 1] - steps[:, 1] * along[:, 0]) / length
+                more = (across**2 - (shares[1:] + shares[:-1]) * most**2) / between
+            if np.isfinite(velocities).all() and np.isfinite(more).all():
+                square = (velocities**2).sum(axis=1)
+                squares.append(float((square - 2.0 * shares * noise**2).mean()))
+                least.append(np.maximum(np.sqrt(square) - 3.0 * np.sqrt(shares) * noise, 0.0))
                 changes.append(np.array([len(between), ((steps**2).sum(axis=1) / between).sum(), more.sum()]))
     if len(squares) < LEAST_TRACKS or np.mean(squares) <= 2.0 * np.std(squares) / np.sqrt(len(squares)):
         return None
@@ -92,7 +91,7 @@ def _speed(samples: list[CameraSample], depth: float) -> Array | None:
     total = count.sum() if count.sum() >= LEAST_WINDOWS else np.nan
     certain = more.sum() / total - 3.0 * np.linalg.norm(more - count * more.sum() / total) / total
     change, least_change = np.sqrt([0.5 * changed.sum() / total, max(certain, 0.0)])
-    return np.array([np.sqrt(np.mean(squares) / 2.0), np.quantile(least, 0.95), change, least_change])
+    return np.array([np.sqrt(np.mean(squares) / 2.0), np.quantile(np.concatenate(least), 0.95), change, least_change])
 
 
 def _velocities(times: Array, places: Array) -> tuple[Array, Array, Array]:

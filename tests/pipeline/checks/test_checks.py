@@ -411,6 +411,21 @@ def test_what_comes_to_rest_in_the_middle_of_the_image_shows_no_acceleration() -
     assert speed[3] == 0.0
 
 
+def test_what_goes_in_circles_has_the_speed_of_its_way() -> None:
+    """Over the whole of a long track fish in a tank hardly move: `init` took a ninth of their speed for the limit."""
+    rng, frames = np.random.default_rng(3), 300
+    middle, phase = rng.uniform([-1, -1, 7], [1, 1, 8], (5, 3)), rng.uniform(0.0, 6.3, 5)
+    found = []
+    for k, (c, camera) in ((k, one) for k in range(frames) for one in enumerate(CAMERAS)):
+        angle = phase + k / RATE
+        points = middle + np.stack([np.cos(angle), np.sin(angle), 0.0 * angle], axis=1)
+        found.append(Frame(k / RATE, c, k, camera.project(points) + rng.normal(0.0, 0.5, (5, 2))))
+    speed = measure_scene(measure(sample_log(found, CAMERAS), DEPTHS)).speed
+    assert speed is not None
+    assert speed[0] == pytest.approx(1.0 / np.sqrt(2.0), rel=0.2)
+    assert speed[1] == pytest.approx(1.0, rel=0.2)
+
+
 @pytest.mark.parametrize("stated", ["{depth_range: [300, 900]}", "{disparity: {mean_px: 1.0, std_px: 0.2}}"])
 def test_births_that_are_proposed_are_stated_as_they_were(samples: list[CameraSample], stated: str) -> None:
     """A range beside a disparity is refused, so that the change that was proposed could not be made."""
