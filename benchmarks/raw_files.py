@@ -43,7 +43,7 @@ from tests.io.formats.test_laboratory import CORNERS, through_glass, write_tank 
 RATE_HZ, NOISE_PX, OBJECTS = 25.0, 0.5, 3
 # Causes that say of a short recording that it is short.
 FEW = {"too_few_detections", "clutter_unsure", "not_converged"}
-# What is true of a format: a pinhole with a lens in place of glass and water errs by 0.05 px, at one place always alike.
+# What is true of a format: a pinhole with a lens in place of glass and water errs by 0.05 px, which lasts.
 TRUE = {"openptv through glass": {"errors_last"}}
 # What imports a folder: its sources, and what the user states.
 Written = tuple[list[Path], dict[str, Any], Path | None]

@@ -139,7 +139,7 @@ def _alignment(
     estimates, pose = tracks.confirmed_estimates(), built[forward].pose
     try:
         if control is None and str(to) == FLOOR:
-            return floor_frame(estimates.position, pose), unit, None
+            return floor_frame(estimates, pose), unit, None
         if control is None:
             return gravity_frame(estimates, pose, GRAVITY / METRES[target]), target, None
         freedom = Freedom(True, not options.same_scale, not options.same_clock)
