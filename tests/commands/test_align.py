@@ -22,6 +22,7 @@ from stereophd.io.outputs.provenance import to_metadata
 from stereophd.io.tables.schemas import TRACKS
 from stereophd.io.tables.writing import TableWriter
 from stereophd.pipeline.control import local_places, read_control
+from stereophd.report.camera_scores import alignments_text
 from tests.scenes import build_camera
 
 TURN, SCALE, MOVE = rotation_from_vector([0.3, -1.2, 2.0]), 12.3, np.array([100.0, -50.0, 20.0])
@@ -148,6 +149,9 @@ def test_cameras_and_tables_are_moved(run: Path, tmp_path: Path) -> None:
     assert report["length_unit"] == "m"
     assert report["tracks"] == [1]
     assert report["scale"] == pytest.approx(SCALE, rel=1e-3)
+    # a deviation stands beside the place that it is of: the origin of the tracks, far away, is known less well
+    assert report["translation_std_at"] == pytest.approx(in_world(wander(1, TIMES)).mean(axis=0).tolist(), abs=0.1)
+    assert "translation  [99.99, -50, 20] m\n  middle       [92.44" in alignments_text({"runs": [report]})
     points, at = wander(1, TIMES)[:20], 30.0
     for before, after in zip(
         read_cameras(run / "cameras.yaml"), read_cameras(tmp_path / "out/cameras.yaml"), strict=True
