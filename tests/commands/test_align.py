@@ -258,6 +258,11 @@ def test_unusable_requests_are_refused(run: Path, tmp_path: Path, to: str, words
     assert not (tmp_path / "out").exists()
 
 
+def test_a_folder_without_cameras_names_what_is_needed(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"expected cameras.yaml in it; name a file of cameras"):
+        align([tmp_path], "floor")
+
+
 def test_geographic_places_are_metres_about_their_origin() -> None:
     origin = np.array([47.0, 8.0, 500.0])
     moves = np.array([[0.0, 0.0, 0.0], [1e-3, 0.0, 0.0], [0.0, 1e-3, 0.0], [0.0, 0.0, 10.0]])
