@@ -176,7 +176,7 @@ def turn_ratios(
 ) -> tuple[Array, Integers]:
     """Log-likelihood ratios (n, h + 1) of a frame for each of n predicted points alone, of each turn against none.
 
-    The last ones are those of points that are missed. Also returns which detection (n, h + 1) is most probably the
+    The last ones are those of points that something hides. Also returns which detection (n, h + 1) is most probably the
     point's, -1 for none.
 
     Points (n, 2) are predicted pixels, with the covariances (n, 2, 2) of a detection about them, px^2. Each of the
@@ -214,7 +214,7 @@ def turn_ratios(
                 still = likelihood
             else:
                 out[i, h] = math.log(likelihood / still)
-        out[i, -1] = math.log(missed / still)
+        out[i, -1] = -math.log(still)
     return out, likely
 
 
@@ -222,22 +222,23 @@ def turn_ratios(
 def frame_ratios(ratios: Array, likely: Integers, fewest: float) -> Array:
     """Return the log-likelihood ratio (h,) of a frame for each turn, from what `turn_ratios` returns of its tracks.
 
-    A detection speaks for one track, for which it does so loudest: where several hide together, a false one lies near
-    each of them after some turn. No track speaks more than twice as loud as all others together. Where fewer tracks
-    than `fewest` speak for a turn, only what speaks against it counts: neighbours hide together, and a turn may bring
-    others into their places.
+    A detection speaks for one track, for which it does so loudest: a false one lies near several of them after some
+    turn. What is compared with a turn is no turn, or that something hides all tracks for as long as it likes, whichever
+    is more probable. No track speaks more than twice as loud as all others together. Where fewer tracks than `fewest`
+    speak for a turn, only what speaks against it counts: neighbours hide together, and a turn may bring others into
+    their places.
     """
-    out = np.empty(ratios.shape[1] - 1)
+    out, hidden = np.empty(ratios.shape[1] - 1), max(ratios[:, -1].sum(), 0.0)
     for h in range(len(out)):
         total, against, loudest, agreeing = 0.0, 0.0, -np.inf, 0
         for i in range(len(ratios)):
             ratio = ratios[i, h]
             for k in range(len(ratios)):
                 if k != i and likely[k, h] == likely[i, h] >= 0 and (ratios[k, h], -k) > (ratios[i, h], -i):
-                    ratio = min(ratio, ratios[i, -1])
+                    ratio = min(ratio, 0.0)
             total += ratio
             against += min(ratio, 0.0)
             loudest = max(loudest, ratio)
             agreeing += ratio > 0.0
-        out[h] = min(total, 3.0 * (total - loudest)) if agreeing >= fewest else against
+        out[h] = min(total, 3.0 * (total - loudest)) - hidden if agreeing >= fewest else against
     return out

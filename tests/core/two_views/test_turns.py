@@ -34,7 +34,7 @@ def test_ratios_are_those_of_the_mixture_of_detections() -> None:
             densities = [multivariate_normal.pdf(each, moved, widened) for each in detections]
             assert likely[i, h] == (int(np.argmax(densities)) if max(densities) > 1e-12 else likely[i, h])
             still = likelihood(points[i], covariances[i])
-            np.testing.assert_allclose(found[i, -1], np.log(missed / still), atol=1e-6)
+            np.testing.assert_allclose(found[i, -1], -np.log(still), atol=1e-6)
 
 
 def test_a_detection_speaks_for_one_track() -> None:
@@ -52,3 +52,6 @@ def test_a_detection_speaks_for_one_track() -> None:
     )
     assert one <= 0.0
     assert all_three > 10.0
+    # what hides all of them is as probable as a turn without detections
+    ratios, _ = turn_ratios(points, covariances, moved, camera, turns, 0.1, 4e5)
+    np.testing.assert_allclose(all_three, ratios[:, turn].sum() + 3.0 * np.log(0.1))
