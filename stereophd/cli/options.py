@@ -143,7 +143,12 @@ Form = Annotated[
 Config = Annotated[Path, argument("CONFIG", "Configuration (YAML), or its folder.")]
 Out = Annotated[Path, option("--out", "DIR", "Output folder; created if missing.")]
 Logs = Annotated[list[Path], argument("LOG", "Detection logs (Parquet), or patterns such as 'day1/*.parquet'.")]
-Cameras = Annotated[Path | None, option("--cameras", "FILE", "Cameras (YAML) in place of the configuration's.")]
+Cameras = Annotated[
+    Path | None,
+    option(
+        "--cameras", "FILE", "Cameras (YAML) in place of the configuration's, but for detectors that it does not state."
+    ),
+]
 Set = Annotated[
     list[str] | None,
     option(

@@ -53,6 +53,9 @@ def align(
     what is missing.
     """
     sources = [Path(path) / CAMERAS_FILE if Path(path).is_dir() else Path(path) for path in cameras]
+    for folder, path in zip(map(Path, cameras), sources, strict=True):
+        if folder.is_dir() and not path.exists():
+            raise InputError(f"{folder}: expected {CAMERAS_FILE} in it; name a file of cameras, and `tracks_path`")
     names = [path.parent.resolve().name if path.name == CAMERAS_FILE else path.stem for path in sources]
     if len(set(names)) < len(names):
         raise InputError(f"expected cameras in folders of different names, found {', '.join(names)}")
@@ -139,7 +142,7 @@ def _alignment(
     estimates, pose = tracks.confirmed_estimates(), built[forward].pose
     try:
         if control is None and str(to) == FLOOR:
-            return floor_frame(estimates.position, pose), unit, None
+            return floor_frame(estimates, pose), unit, None
         if control is None:
             return gravity_frame(estimates, pose, GRAVITY / METRES[target]), target, None
         freedom = Freedom(True, not options.same_scale, not options.same_clock)

@@ -125,6 +125,8 @@ def calibrate(
             uncertainty = CameraUncertainty(outcome.parameters.about(cameras), outcome.covariance)
             if (world := outcome.world) is not None and problem.control is not None:
                 unit, found = problem.control.length_unit, world.alignment
+                if unit != loaded.config.units.length:
+                    _in_unit(report, unit, found.registration.scale)
                 loaded, cameras, report["control"] = in_world(loaded, cameras, world, unit)
                 if isinstance(problem.control.known, ControlPoints):
                     report["control"] |= points_report(problem.control.known, cameras, str(control))
@@ -135,7 +137,8 @@ def calibrate(
                 rows_of(uncertainty), NOISE_NOTE if is_other_noise else "",
             )  # fmt: skip
             limit.begin("tracks are made with the cameras")
-            report["tracking"], further = _track(loaded, uncertainty, log_path, out, to_metadata(record), progress)
+            of_tables = to_metadata({**record, "units": {"length": loaded.config.units.length}})
+            report["tracking"], further = _track(loaded, uncertainty, log_path, out, of_tables, progress)
             findings += report_findings(further)
         report["checks"] = findings + _findings_of(report, (*problem.remarks, *outcome.remarks))
         report["provenance"] = record
@@ -146,8 +149,16 @@ def calibrate(
             from stereophd.report.plots.calibration_plots import write_calibration_plots
 
             paths = {name: out.path(name) for name in PLOTS if outcome.fit or not name.startswith("residuals")}
-            write_calibration_plots(outcome, loaded.config.units.length, paths)
+            write_calibration_plots(outcome, record["units"]["length"], paths)
     return _accepted(report, options.require, log_path)
+
+
+def _in_unit(report: dict[str, Any], unit: str, factor: float) -> None:
+    """State a report on cameras without a length in the unit of the control, which gives it; its parameters name their
+    own."""
+    report["length_unit"], report["scale"]["determined_by"] = unit, "control"
+    for camera in report["cameras"].values():
+        camera["center_std"] = None if camera["center_std"] is None else factor * camera["center_std"]
 
 
 def _findings_of(report: dict[str, Any], remarks: tuple[Remark, ...]) -> list[dict[str, Any]]:

@@ -26,6 +26,7 @@ from stereophd.pipeline.evaluation.report import build_report, write_per_scan
 from stereophd.pipeline.evaluation.scale import default_cutoff, warn_of_another_scene
 from stereophd.pipeline.evaluation.scoring import score_tracks
 from stereophd.report.installed import whether_to_draw
+from stereophd.validated import NO_LENGTH
 
 REPORT_NAME, PER_SCAN_NAME = "report.json", "per_scan.parquet"
 PLOT_NAMES = tuple(f"{plot}.{kind}" for plot in ("ospa", "cardinality", "top", "side") for kind in ("png", "svg"))
@@ -60,8 +61,8 @@ def _run(inputs: dict[str, Path], options: EvaluateOptions, out: OutputFolder | 
     truth, truth_unit = read_truth(inputs["truth"])
     cameras, cameras_unit = _cameras(inputs.get("cameras"), tracks)
     units = {"tracks": tracks.length_unit, "truth": truth_unit, "cameras": cameras_unit}
-    if options.align == "similarity" and truth_unit is not None:
-        del units["tracks"]  # the scale is found, so that tracks may be in any unit, such as `baseline`
+    if options.align == "similarity" and (truth_unit is not None or tracks.length_unit == NO_LENGTH):
+        del units["tracks"]  # the scale is found, and figures are in the unit of the truth, which it may not name
     unit = _common_unit(units, inputs)
     if options.cutoff is None:
         record = tracks.metadata if unit == tracks.length_unit else None

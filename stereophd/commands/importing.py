@@ -1,6 +1,7 @@
 """Bring detections and cameras of another program into native files."""
 
 from collections.abc import Mapping, Sequence
+from contextlib import ExitStack
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
@@ -71,7 +72,7 @@ def import_recording(
     for path in filter(None, (*paths, options.truth)):
         if not path.exists():
             raise InputError(f"{path}: there is no such file or folder")
-    with OutputFolder(out_dir, FILES, force) as out:
+    with OutputFolder(out_dir, FILES, force) as out, ExitStack() as at_the_end:
         noted, read, _ = consulted(options)
         truth = None if options.truth is None else native_truth(options.truth, noted)
         given = options if truth is None else replace(options, truth=None)  # then the reader has no use for the file
@@ -82,6 +83,7 @@ def import_recording(
             given = replace(given, image_sizes=replace(given.image_sizes, named={**sizes, **given.image_sizes.named}))
         noted, of_reader, in_source = consulted(given)
         recording = read_foreign(form, paths, noted)
+        at_the_end.callback(_log, recording.warnings)  # also before an error, which one of them may explain
         if cameras_path is not None and described is not None:
             _add_cameras(recording, Path(cameras_path), *described)
         if truth is not None:
@@ -131,9 +133,12 @@ def import_recording(
             "provenance": record,
         }
         write_json(out.path(REPORT_FILE), report)
-    for sentence in recording.warnings:
-        LOGGER.warning("%s", sentence)
     return report
+
+
+def _log(warnings: Sequence[str]) -> None:
+    for sentence in warnings:
+        LOGGER.warning("%s", sentence)
 
 
 def _add_cameras(
@@ -190,6 +195,14 @@ def _check(
             warn(f"camera {name} has detections, but the cameras ({known}) have none of that name ({use})")
         for name in sorted(recording.cameras.keys() - summaries.keys()):
             warn(f"camera {name} has no detections (the log has {', '.join(summaries)})")
+    for name, size in recording.image_sizes.items():
+        camera = recording.cameras.get(name)
+        if camera is not None and size != camera.image_size_px:
+            stated, taken = (" x ".join(map(str, sides)) for sides in (camera.image_size_px, size))
+            warn(
+                f"camera {name}: its images have {taken} px, and its intrinsics are those of {stated} px: take the "
+                "cameras of this resolution"
+            )
     for name, summary in summaries.items():
         if not summary.detections:
             warn(f"camera {name} has frames, but no detections")

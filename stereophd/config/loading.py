@@ -109,8 +109,8 @@ def load_config(
     seed
         Replaces ``seed``.
     cameras_path
-        A ``cameras.yaml`` that replaces the configuration's cameras. Overrides of single values of a
-        camera apply to it.
+        A ``cameras.yaml`` that replaces the configuration's cameras, but for detectors that it does not state.
+        Overrides of single values of a camera apply to it.
 
     Raises
     ------
@@ -148,7 +148,7 @@ def _completed(
     if cameras_file is not None:
         unit, inputs["cameras"] = _inline_cameras(tree, cameras_file)
         if cameras_path is not None:
-            _say_replaced(inline, tree.data.get("cameras"), cameras_file)
+            _keep_detectors(inline, tree.data.get("cameras"), cameras_file)
     else:
         _inline_trajectories(tree, folder)
     for key, change in changes:
@@ -187,15 +187,24 @@ def as_config(
     return _completed(tree, config.path, dict(config.inputs), folder, overrides, seed, cameras_path)
 
 
-def _say_replaced(before: Any, after: Any, path: Path) -> None:
-    """Say which detectors of a configuration a file of cameras replaces, such as those that `init` estimated."""
+def _keep_detectors(before: Any, after: Any, path: Path) -> None:
+    """Keep the detectors of a configuration, such as those that `init` estimated, of cameras whose file states none.
+
+    Those that it replaces are named.
+    """
     if not isinstance(before, dict) or not isinstance(after, dict):
         return
 
     def detector(cameras: dict[str, Any], name: str) -> Any:
         return cameras[name].get("detector") if isinstance(cameras.get(name), dict) else None
 
-    names = [name for name in after if detector(before, name) not in (None, detector(after, name))]
+    names = []
+    for name in after:
+        stated, replaced = detector(after, name), detector(before, name)
+        if stated is None and replaced is not None and isinstance(after[name], dict):
+            after[name]["detector"] = copy.deepcopy(replaced)
+        elif replaced not in (None, stated):
+            names.append(name)
     if names:
         LOGGER.warning(
             "%s: its detectors replace those of the configuration (%s), such as `init` estimated: copy these into it "

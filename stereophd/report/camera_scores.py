@@ -110,7 +110,8 @@ def _lines(run: Mapping[str, Any]) -> list[str]:
         f"{run['name']} to {run['to']}",
         f"  scale        {run['scale']:.6g} +- {number(run['scale_std'])}",
         f"  rotation     {_vector(run['rotation_deg'])} +- {_vector(run['rotation_std_deg'])} deg",
-        f"  translation  {_vector(run['translation'])} +- {_vector(run['translation_std'])} {unit}",
+        f"  translation  {_vector(run['translation'])} {unit}",
+        f"  middle       {_vector(run['translation_std_at'])} +- {_vector(run['translation_std'])} {unit}",
         f"  clock        {clock['shift_s']:+.4f} +- {number(clock['shift_std_s'])} s at {clock['at_s']:.3f} s, "
         f"rate {clock['rate']:.7g} +- {number(clock['rate_std'])}",
     ]

@@ -27,6 +27,7 @@ SCALES = {
     "baseline": "the stated distance of two cameras",
     "speed": "the stated speed of the objects",
     "length": "the stated distance of two objects",
+    "control": "the control",
 }
 
 
@@ -136,17 +137,21 @@ def _parameters(report: Mapping[str, Any]) -> SummaryTable:
 
 
 def _clocks(report: Mapping[str, Any], described: Mapping[str, Any]) -> dict[str, str]:
-    """Return offset and rate of every clock, with the correction that a calibration found."""
+    """Return offset and rate of every clock, with the correction that a calibration found, on that of a control."""
     estimates = {estimate["name"]: estimate for estimate in report.get("parameters", ())}
+    world = (report.get("control") or {}).get("clock") or {"at_s": 0.0, "shift_s": 0.0, "rate": 1.0}
     out = {}
     for name, camera in described.items():
         clock = camera.get("clock") or {}
         offset, rate = float(clock.get("offset_s") or 0.0), float(clock.get("rate") or 1.0)
         estimated = estimates.get(f"{name}.clock_offset")
-        if estimated is not None and estimated["mean"] is not None:
-            text = f"{offset + estimated['mean']:+.4f} s +- {number(estimated['std'], 2)}"
-        else:
-            text = f"{offset:+.4f} s" if offset else "as in the log"
+        mean = None if estimated is None else estimated["mean"]
+        offset += mean or 0.0
+        offset += world["shift_s"] + (world["rate"] - 1.0) * (offset - world["at_s"])
+        rate *= world["rate"]
+        text = "as in the log" if mean is None and not offset else f"{offset:+.4f} s"
+        if estimated is not None and mean is not None:
+            text += f" +- {number(estimated['std'], 2)}"
         if rate != 1.0:
             text += f", {1e6 * (rate - 1.0):+.0f} ppm"
         out[name] = text

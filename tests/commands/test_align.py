@@ -12,15 +12,17 @@ import pytest
 
 from stereophd import Camera, Clock, InputError, read_cameras, write_cameras
 from stereophd.commands.align import align
+from stereophd.core.alignment.frames import floor_frame
 from stereophd.core.alignment.to_points import ControlPoints, align_to_points
 from stereophd.core.alignment.to_track import align_to_track
-from stereophd.core.geometry.pose import rotation_from_vector, rotation_to_vector
+from stereophd.core.geometry.pose import Pose, rotation_from_vector, rotation_to_vector
 from stereophd.core.metrics.truth.interpolation import Truth
 from stereophd.core.metrics.truth.registration import Freedom, TrackedPlaces
 from stereophd.io.outputs.provenance import to_metadata
 from stereophd.io.tables.schemas import TRACKS
 from stereophd.io.tables.writing import TableWriter
 from stereophd.pipeline.control import local_places, read_control
+from stereophd.report.camera_scores import alignments_text
 from tests.scenes import build_camera
 
 TURN, SCALE, MOVE = rotation_from_vector([0.3, -1.2, 2.0]), 12.3, np.array([100.0, -50.0, 20.0])
@@ -147,6 +149,9 @@ def test_cameras_and_tables_are_moved(run: Path, tmp_path: Path) -> None:
     assert report["length_unit"] == "m"
     assert report["tracks"] == [1]
     assert report["scale"] == pytest.approx(SCALE, rel=1e-3)
+    # a deviation stands beside the place that it is of: the origin of the tracks, far away, is known less well
+    assert report["translation_std_at"] == pytest.approx(in_world(wander(1, TIMES)).mean(axis=0).tolist(), abs=0.1)
+    assert "translation  [99.99, -50, 20] m\n  middle       [92.44" in alignments_text({"runs": [report]})
     points, at = wander(1, TIMES)[:20], 30.0
     for before, after in zip(
         read_cameras(run / "cameras.yaml"), read_cameras(tmp_path / "out/cameras.yaml"), strict=True
@@ -206,6 +211,28 @@ def test_frames_without_a_control_track(run: Path, tmp_path: Path, to: str, expe
         assert np.polyfit(TIMES[:19], rows, 2)[0] == pytest.approx(0.5 * 9.80665, rel=0.02)
 
 
+def test_a_floor_is_known_as_well_as_objects_of_different_heights_show_it() -> None:
+    """Players keep their heights: 20,000 estimates of eight of them stated the vertical to 0.004 degrees, and erred by
+    0.01.
+
+    The height of the floor was stated to 0.
+    """
+    pose, errors = Pose(rotation_from_vector([-0.5, 0.0, 0.0]), [0.0, -5.0, -10.0]), []
+    for seed in range(30):
+        rng, times = np.random.default_rng(seed), np.arange(0.0, 40.0, 0.1)
+        paths = [np.column_stack([6.0 * np.sin(a * times + b), np.full(400, 0.1 * rng.normal()), 8.0 * np.sin(
+                 c * times + d)]) for a, b, c, d in rng.uniform(0.1, 1.0, (8, 4)) * [1.0, 6.3, 1.0, 6.3]]  # fmt: skip
+        tracks = TrackedPlaces(np.repeat(times, 8), np.stack(paths, axis=1).reshape(-1, 3),
+                               np.tile(1e-4 * np.eye(3), (3200, 1, 1)), np.tile(np.arange(8), 400))  # fmt: skip
+        found = floor_frame(tracks, pose)
+        down = found.registration.rotation @ [0.0, 1.0, 0.0]
+        height = found.registration.positions(np.array([tracks.position.mean(axis=0) * [1.0, 0.0, 1.0]]))[0, 1]
+        errors.append([np.hypot(*down[[0, 2]]) / np.sqrt(2.0) / found.std[0], height / found.std[4]])
+    rms = np.sqrt(np.mean(np.square(errors), axis=0))
+    assert (rms > 0.2).all()
+    assert (rms < 1.5).all()
+
+
 @pytest.mark.parametrize(
     ("to", "words", "message"),
     [
@@ -229,6 +256,11 @@ def test_unusable_requests_are_refused(run: Path, tmp_path: Path, to: str, words
     with pytest.raises(InputError, match=message):
         align([run], word, tmp_path / "out", **words)
     assert not (tmp_path / "out").exists()
+
+
+def test_a_folder_without_cameras_names_what_is_needed(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"expected cameras.yaml in it; name a file of cameras"):
+        align([tmp_path], "floor")
 
 
 def test_geographic_places_are_metres_about_their_origin() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -9,11 +10,13 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
+import yaml
 
 from stereophd import Camera, InputError, Pose, make_config, read_cameras, write_log
 from stereophd.commands.calibrate import calibrate
 from stereophd.core.geometry.pose import rotation_from_vector, rotation_to_vector
 from stereophd.io.cameras.writing import camera_config, plain_cameras
+from stereophd.report.summaries import summary_text
 from tests.scenes import build_camera
 
 TURN, MOVE, SHIFT, RATE = rotation_from_vector([0.3, -1.2, 2.0]), np.array([100.0, -50.0, 20.0]), 47.3, 1.0005
@@ -74,6 +77,10 @@ def config(cameras: list[Camera], **calibration: object) -> dict:
     }  # fmt: skip
 
 
+def read_camera_unit(path: Path) -> str:
+    return str(yaml.safe_load(path.read_text())["units"]["length"])
+
+
 def test_scale_frame_and_clock_are_those_of_the_control(cameras: list[Camera], log: Path, tmp_path: Path) -> None:
     control = str(log.with_name("gps.parquet"))
     report = calibrate(make_config(config(cameras, control=control)), log, tmp_path / "out", plots=False, jobs=1)
@@ -92,6 +99,20 @@ def test_scale_frame_and_clock_are_those_of_the_control(cameras: list[Camera], l
     places = np.column_stack([tracks[name] for name in "xyz"])
     truth = np.stack([wander(seed, (np.array(tracks["time_s"]) - SHIFT) / RATE) @ TURN.T + MOVE for seed in (101, 102)])
     assert np.median(np.linalg.norm(places - truth, axis=2).min(axis=0)) < 0.1
+
+
+def test_cameras_without_a_length_have_the_unit_of_the_control(
+    cameras: list[Camera], log: Path, tmp_path: Path
+) -> None:
+    """Tracks in metres were called ``baseline``, and their scale "from the first guess and the data"."""
+    values = config(cameras, control=str(log.with_name("gps.parquet"))) | {"units": {"length": "baseline"}}
+    report = calibrate(make_config(values), log, tmp_path / "out", plots=False, jobs=1)
+    assert report["length_unit"] == report["control"]["length_unit"] == "m"
+    assert read_camera_unit(tmp_path / "out" / "cameras.yaml") == "m"
+    assert pq.read_schema(tmp_path / "out" / "tracks.parquet").metadata[b"length_unit"] == b"m"
+    assert "scale from the control" in summary_text(report)
+    assert re.search(r"left .* \+47\.\d{4} s, \+\d+ ppm\n", summary_text(report))  # its clock is that of the control
+    assert {one["unit"] for one in report["parameters"] if "center" in one["name"]} == {"baseline"}
 
 
 def test_points_fix_scale_and_frame(cameras: list[Camera], log: Path, tmp_path: Path) -> None:

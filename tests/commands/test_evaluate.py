@@ -582,6 +582,8 @@ def test_a_similarity_brings_tracks_of_any_unit_into_that_of_the_truth(tmp_path)
     report = evaluate(tracks, truth, align="similarity", cutoff=1.0)
     assert report["length_unit"] == "m"
     assert report["position_error"]["p90"] < 1e-3
+    nameless = write_truth(tmp_path / "nameless.parquet", [(t, 3, t) for t in range(9)])
+    assert evaluate(tracks, nameless, align="similarity", cutoff=1.0)["length_unit"] is None
     with pytest.raises(InputError, match="of the tracks and in this unit"):
         evaluate(tracks, truth, align="similarity")
     with pytest.raises(InputError, match="expected lengths in baseline"):
@@ -607,10 +609,10 @@ def test_an_alignment_that_runs_away_is_named(tmp_path, monkeypatch):
     def astray(*_: object) -> None:
         raise np.linalg.LinAlgError("Eigenvalues did not converge")
 
-    monkeypatch.setattr("stereophd.pipeline.evaluation.scoring.register", astray)
+    monkeypatch.setattr("stereophd.core.alignment.to_truth.register", astray)
     truth = write_truth(tmp_path / "truth.parquet", [(t, 3, t) for t in range(9)])
     tracks = write_tracks(tmp_path / "tracks.parquet", [(float(t), "a", t, 1, float(t)) for t in range(9)])
-    with pytest.raises(InputError, match="`align`: expected tracks near the truth to begin with"):
+    with pytest.raises(InputError, match="`align`: expected tracks with the motion of the truth"):
         evaluate(tracks, truth, align="similarity", cutoff=1.0)
 
 

@@ -153,6 +153,23 @@ class TestCameras:
         assert list(loaded.cameras) == ["left"]
         assert loaded.cameras["left"].detector.p_detect == 0.5
 
+    def test_without_detectors_keep_those_of_the_configuration(
+        self, path: Path, cameras: Path, caplog: pytest.LogCaptureFixture
+    ) -> None:
+        """`init` had estimated 0.6 px, and a guess of poses, without detectors, made them the usual 3 px."""
+        bare = {key: value for key, value in CAMERA.items() if key != "detector"}
+        cameras.write_text(yaml.safe_dump({"units": {"length": "cm"}, "cameras": {"zulu": bare, "new": bare}}))
+        loaded = load_config(path, cameras_path=cameras)
+        assert loaded.cameras["zulu"].detector == load_config(path).cameras["zulu"].detector
+        assert loaded.cameras["new"].detector.estimate
+        assert not caplog.messages
+        text = path.read_text().replace("p_detect: 0.9", "p_detect: 1.9", 1)
+        assert text != path.read_text()
+        path.write_text(text)
+        assert "cameras.zulu.detector.p_detect: expected a number <= 1, found 1.9" in message(
+            path, cameras_path=cameras
+        )
+
     def test_of_the_command_line_spare_a_file_that_is_not_there(self, path: Path, cameras: Path) -> None:
         with pytest.raises(InputError, match=r"nothing\.yaml: there is no such file"):
             self.with_path(path, "nothing.yaml")

@@ -10,7 +10,7 @@ import pytest
 
 from stereophd.core.arrays import Array
 from stereophd.core.geometry.camera import Camera
-from stereophd.core.geometry.pose import rotation_from_vector
+from stereophd.core.geometry.pose import Pose, rotation_from_vector
 from stereophd.io.logs.reading import Frame
 from stereophd.pipeline.checks.log.sample import CameraSample, sample_log
 from stereophd.pipeline.detectors.displacements import PRIOR
@@ -137,6 +137,17 @@ def test_nothing_to_compare_gives_the_prior() -> None:
     assert used[0] is cameras[0]
     assert used[1].detector.sigma.tolist() == [1.0, 1.0]
     assert priors["cam1"].spread == NOISE_SPREAD
+
+
+def test_each_camera_shows_its_noise_beside_one_that_moves() -> None:
+    """`init` took the 3 px that are usual for 0.6 px, as no ray was compared, and called that the noise of the rays."""
+    cameras = cameras_at((-3.0, 0.0), (3.0, 0.5))
+    pose = cameras[1].pose
+    cameras[1] = replace(cameras[1], pose=Pose(pose.rotation, pose.center, rotation_rate=[0.0, 1e-9, 0.0]))
+    samples = samples_of(cameras, [0.6, 0.6], 5, 150, 0.3)
+    names = [camera.name for camera in cameras]
+    for camera in starting_detectors(cameras, names, samples)[0]:
+        assert 0.4 < camera.detector.sigma.mean() < 0.9
 
 
 def test_detections_that_no_track_links_are_not_all_false() -> None:

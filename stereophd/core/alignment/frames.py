@@ -13,6 +13,7 @@ import numpy as np
 from stereophd.core.arrays import Array
 from stereophd.core.geometry.camera import Camera, Clock
 from stereophd.core.geometry.pose import Pose
+from stereophd.core.metrics.errors import independent_means
 from stereophd.core.metrics.truth.registration import Alignment, Registration, TrackedPlaces
 
 # The objects are on a floor if their scatter about it is at most this part of their second extent.
@@ -51,12 +52,13 @@ def camera_frame(pose: Pose) -> Alignment:
     return Alignment(_registration(pose.rotation, pose.center))
 
 
-def floor_frame(position: Array, pose: Pose) -> Alignment:
-    """Return the frame whose floor, y = 0, is the plane that objects at positions (n, 3) move on.
+def floor_frame(tracks: TrackedPlaces, pose: Pose) -> Alignment:
+    """Return the frame whose floor, y = 0, is the plane that the objects move on.
 
-    The origin is the foot of a camera, forward is where it looks, and the camera is above the floor. Raises ValueError
-    where the objects are not on one plane.
+    The origin is the foot of a camera, forward is where it looks, and the camera is above the floor. Heights count as
+    alike as successive ones of an object are. Raises ValueError where the objects are not on one plane.
     """
+    position = tracks.position
     weights = np.ones(len(position))
     for _ in range(STEPS):
         middle = np.average(position, axis=0, weights=weights)
@@ -71,7 +73,11 @@ def floor_frame(position: Array, pose: Pose) -> Alignment:
         )
     down = -axes[:, 0] * np.sign((pose.center - middle) @ axes[:, 0])
     foot = pose.center + ((middle - pose.center) @ down) * down
-    return _upright(down, foot, pose, 1.0, np.array([scatter / extent, 0.0]) / np.sqrt(len(position)), heights)
+    # heights tilt the floor by their moments about its middle, along its shorter side most
+    moments = heights * ((position - middle) @ axes[:, 1]) / extent**2
+    counts = [independent_means(values[:, None], tracks.track_id) for values in (moments, heights)]
+    stds = np.sqrt([(moments**2).mean() / counts[0], (heights**2).mean() / counts[1], 0.0])
+    return _upright(down, foot, pose, 1.0, stds, middle, heights)
 
 
 def gravity_frame(tracks: TrackedPlaces, pose: Pose, gravity: float) -> Alignment:
@@ -97,7 +103,9 @@ def gravity_frame(tracks: TrackedPlaces, pose: Pose, gravity: float) -> Alignmen
         )
     mean = best[1].mean(axis=0)
     size = float(np.linalg.norm(mean))
-    return _upright(mean / size, pose.center, pose, gravity / size, np.full(2, best[0]), np.zeros(0))
+    return _upright(
+        mean / size, pose.center, pose, gravity / size, best[0] * np.array([1.0, 0.0, 1.0]), pose.center, np.zeros(0)
+    )
 
 
 def _accelerations(tracks: TrackedPlaces, count: int) -> Array:
@@ -112,15 +120,20 @@ def _accelerations(tracks: TrackedPlaces, count: int) -> Array:
     return np.concatenate(out)
 
 
-def _upright(down: Array, origin: Array, pose: Pose, scale: float, stds: Array, left: Array) -> Alignment:
-    """Return the frame with a direction down, an origin, and forward where a camera looks, or its top points."""
+def _upright(
+    down: Array, origin: Array, pose: Pose, scale: float, stds: Array, turns_about: Array, left: Array
+) -> Alignment:
+    """Return the frame with a direction down, an origin, and forward where a camera looks, or its top points.
+
+    `stds` (3,) are those of the vertical, rad, of the height, and of the logarithm of the scale.
+    """
     along = pose.rotation[2] if abs(pose.rotation[2] @ down) < np.cos(np.deg2rad(5.0)) else -pose.rotation[1]
     forward = along - (along @ down) * down
     forward /= np.linalg.norm(forward)
     covariance = np.zeros((9, 9))
-    covariance[[0, 2, 6], [0, 2, 6]] = stds[[0, 0, 1]] ** 2
+    covariance[[0, 2, 4, 6], [0, 2, 4, 6]] = stds[[0, 0, 1, 2]] ** 2
     registration = _registration(np.stack([np.cross(down, forward), down, forward]), origin, scale)
-    return Alignment(registration, covariance=covariance, distances=np.abs(left))
+    return Alignment(registration, registration.positions(turns_about), covariance, distances=np.abs(left))
 
 
 def _registration(rotation: Array, origin: Array, scale: float = 1.0) -> Registration:

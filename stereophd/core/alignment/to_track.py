@@ -31,7 +31,7 @@ def align_to_track(tracks: TrackedPlaces, control: Truth, freedom: Freedom) -> A
     if not len(control.time_s):
         raise ValueError("the control track is broken by gaps everywhere: expected stretches of five rows or more")
     weights = 1.0 / np.trace(tracks.safe_covariance, axis1=1, axis2=2)
-    curves, names = _curves(tracks, weights)
+    curves, names = curves_of(tracks, weights)
     fits = sorted(fits_to(curves, control, gap, freedom), key=lambda fit: -fit.gain)
     if not fits or fits[0].unexplained > MOST_UNEXPLAINED:
         _refuse_other_motion(float(np.sqrt(fits[0].unexplained)) if fits else 1.0)
@@ -55,7 +55,7 @@ def align_to_track(tracks: TrackedPlaces, control: Truth, freedom: Freedom) -> A
     _refuse_straight(left)
     # whether another offset or track fits as well, without estimates that are far off
     weights[np.flatnonzero(np.isin(tracks.track_id, used.track_id))[left.rows]] *= left.weights
-    fits = sorted(fits_to(_curves(tracks, weights)[0], control, gap, freedom), key=lambda fit: -fit.gain)
+    fits = sorted(fits_to(curves_of(tracks, weights)[0], control, gap, freedom), key=lambda fit: -fit.gain)
     if fits[0].rival is not None:
         raise ValueError(
             f"a clock offset of {fits[0].rival:.1f} s fits nearly as well as {fits[0].registration.shift_s:.1f} s: the "
@@ -88,7 +88,7 @@ def _finer(control: Truth, max_gap_s: float) -> Truth:
     return Truth(table[:, 0], np.zeros(len(table), dtype=np.int64), table[:, 1:4], table[:, 4:])
 
 
-def _curves(tracks: TrackedPlaces, weights: Array) -> tuple[list[Curve], list[Integers]]:
+def curves_of(tracks: TrackedPlaces, weights: Array) -> tuple[list[Curve], list[Integers]]:
     """Return each track as a curve, and all as one where they follow each other: tracks of one object that broke."""
     curves, names = [], []
     every = np.unique(tracks.track_id)

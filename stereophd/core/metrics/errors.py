@@ -117,6 +117,15 @@ def independent_count(errors: Array, group: Integers) -> float:
     return float(dimension * count**2 / total)
 
 
+def independent_means(errors: Array, group: Integers) -> float:
+    """Return the number of independent errors whose mean would be known as well as that of these, in (0, n].
+
+    If their correlation falls exponentially, with the n errors worth m of a mean square (`independent_count`), those of
+    a mean are worth about n / (2 n / m - 1).
+    """
+    return len(errors) / max(2.0 * len(errors) / max(independent_count(errors, group), 1.0) - 1.0, 1.0)
+
+
 def _lags(count: int) -> list[int]:
     """All small numbers of steps, and ever fewer of the larger ones."""
     few = np.arange(1, 33)

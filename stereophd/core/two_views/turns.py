@@ -87,7 +87,7 @@ def prepare_turns() -> None:
     pose = Pose(np.eye(3), np.zeros(3))
     # the arrays of a pose are read-only: those of others would load another form of the kernel
     camera = Pinhole(pose.rotation, pose.center, 1.0, 1.0, 0.0, 0.0)
-    frame_ratios(turn_ratios(none, covariances, none, camera, all_turns(), 1.0, 1.0), 0.0)
+    frame_ratios(*turn_ratios(none, covariances, none, camera, all_turns(), 1.0, 1.0), 0.0)
     tracks = TracksBefore(np.empty((0, 6)), np.empty((0, 6, 6)), nobody, 0.0)
     followed = LookedAt(np.empty(0, dtype=np.int64), nobody, np.empty((0, 6, 6)), 0.0)
     look_at_frame(tracks, followed, camera, 0, FrameDetections(none, covariances, 1.0, 1.0), np.zeros((2, 1, 6, 7)))
@@ -173,8 +173,11 @@ def look_at_frame(
 @compiled
 def turn_ratios(
     points: Array, covariances: Array, detections: Array, camera: Pinhole, turns: Turns, missed: float, weight: float
-) -> Array:
-    """Log-likelihood ratios (n, h) of a frame for each of n predicted points alone, of each turn against none.
+) -> tuple[Array, Integers]:
+    """Log-likelihood ratios (n, h + 1) of a frame for each of n predicted points alone, of each turn against none.
+
+    The last ones are those of points that something hides. Also returns which detection (n, h + 1) is most probably the
+    point's, -1 for none.
 
     Points (n, 2) are predicted pixels, with the covariances (n, 2, 2) of a detection about them, px^2. Each of the
     detections (m, 2) may be the point's; it is missed with the probability `missed`, and `weight` is the probability
@@ -182,7 +185,7 @@ def turn_ratios(
     """
     fx, fy, cx, cy = camera.fx, camera.fy, camera.cx, camera.cy
     shifts, linear, spread = turns.shifts, turns.linear, turns.spread
-    out = np.empty((len(points), len(spread)))
+    out, likely = np.empty((len(points), len(spread) + 1)), np.full((len(points), len(spread) + 1), -1)
     for i in range(len(points)):
         x, y = (points[i, 0] - cx) / fx, (points[i, 1] - cy) / fy
         still = missed
@@ -194,7 +197,7 @@ def turn_ratios(
                 more = (spread[h] * fx) ** 2
             a, b, c = covariances[i, 0, 0] + more, covariances[i, 0, 1], covariances[i, 1, 1] + more
             determinant = a * c - b * b
-            total = 0.0
+            total, largest = 0.0, 0.0
             for j in range(len(detections)):
                 u = detections[j, 0] - points[i, 0] - move_u
                 v = detections[j, 1] - points[i, 1] - move_v
@@ -202,30 +205,40 @@ def turn_ratios(
                     continue
                 square = (c * u * u - 2.0 * b * u * v + a * v * v) / determinant
                 if square < 50.0:
-                    total += math.exp(-0.5 * square)
+                    density = math.exp(-0.5 * square)
+                    total += density
+                    if density > largest:
+                        largest, likely[i, h] = density, j
             likelihood = missed + weight * total / (2.0 * math.pi * math.sqrt(determinant))
             if h < 0:
                 still = likelihood
             else:
                 out[i, h] = math.log(likelihood / still)
-    return out
+        out[i, -1] = -math.log(still)
+    return out, likely
 
 
 @compiled
-def frame_ratios(ratios: Array, fewest: float) -> Array:
-    """Return the log-likelihood ratio (h,) of a frame for each turn, from those of its tracks (n, h).
+def frame_ratios(ratios: Array, likely: Integers, fewest: float) -> Array:
+    """Return the log-likelihood ratio (h,) of a frame for each turn, from what `turn_ratios` returns of its tracks.
 
-    No track speaks more than twice as loud as all others together. Where fewer tracks than `fewest` speak for a turn,
-    only what speaks against it counts: neighbours hide together, and a turn may bring others into their places.
+    A detection speaks for one track, for which it does so loudest: a false one lies near several of them after some
+    turn. What is compared with a turn is no turn, or that something hides all tracks for as long as it likes, whichever
+    is more probable. No track speaks more than twice as loud as all others together. Where fewer tracks than `fewest`
+    speak for a turn, only what speaks against it counts: neighbours hide together, and a turn may bring others into
+    their places.
     """
-    out = np.empty(ratios.shape[1])
+    out, hidden = np.empty(ratios.shape[1] - 1), max(ratios[:, -1].sum(), 0.0)
     for h in range(len(out)):
         total, against, loudest, agreeing = 0.0, 0.0, -np.inf, 0
         for i in range(len(ratios)):
             ratio = ratios[i, h]
+            for k in range(len(ratios)):
+                if k != i and likely[k, h] == likely[i, h] >= 0 and (ratios[k, h], -k) > (ratios[i, h], -i):
+                    ratio = min(ratio, 0.0)
             total += ratio
             against += min(ratio, 0.0)
             loudest = max(loudest, ratio)
             agreeing += ratio > 0.0
-        out[h] = min(total, 3.0 * (total - loudest)) if agreeing >= fewest else against
+        out[h] = min(total, 3.0 * (total - loudest)) - hidden if agreeing >= fewest else against
     return out

@@ -56,6 +56,8 @@ def _split(
         folder = PurePosixPath(image.get("file_name", "")).parent.name
         camera = options.name(folder if len(folders) > 1 and folder else path.stem)
         found = [row for a in of_image.get(image["id"], ()) for row in _detections(a, options)]
+        if "width" in image and "height" in image:
+            recording.image_sizes.setdefault(camera, (int(image["width"]), int(image["height"])))
         rows.setdefault(camera, []).extend((number, *row) for row in found or [(np.nan,) * 7])
     for camera, values in rows.items():
         table = np.array(values, dtype=np.float64)

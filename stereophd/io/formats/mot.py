@@ -59,7 +59,7 @@ def _file_of(source: Path) -> Path:
 
 
 def _read_sequence_info(path: Path, camera: str, recording: ForeignRecording) -> None:
-    """Take the rate and the number of frames from ``seqinfo.ini``."""
+    """Take the rate, the number of frames and the size of the images from ``seqinfo.ini``."""
     info = next((p / "seqinfo.ini" for p in (path.parent, path.parent.parent) if (p / "seqinfo.ini").is_file()), None)
     if info is None:
         return
@@ -70,6 +70,8 @@ def _read_sequence_info(path: Path, camera: str, recording: ForeignRecording) ->
         recording.rates[camera] = float(sequence["frameRate"])
         if "seqLength" in sequence:
             recording.frames[camera] = (FIRST_FRAME, int(sequence["seqLength"]))
+        if "imWidth" in sequence and "imHeight" in sequence:
+            recording.image_sizes[camera] = int(sequence["imWidth"]), int(sequence["imHeight"])
     recording.files.append(info)
 
 

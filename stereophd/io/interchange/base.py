@@ -66,10 +66,11 @@ class ForeignRecording:
     warnings: list[str] = field(default_factory=list)
     labels: dict[int, str] = field(default_factory=dict)  # Number in ``object_id`` -> name of the object in the source
     files: list[Path] = field(default_factory=list)  # Every file that is read
-    # `rates`, `frames`: Frames per second, and first and last recorded frame, of cameras for which the source states
-    # them.
+    # `rates`, `frames`, `image_sizes`: Frames per second, first and last recorded frame, size of images (px),
+    # of cameras for which the source states them beside the detections.
     rates: dict[str, float] = field(default_factory=dict)
     frames: dict[str, tuple[int, int]] = field(default_factory=dict)
+    image_sizes: dict[str, tuple[int, int]] = field(default_factory=dict)
     lists_frames: bool = False  # Whether it has a row for every recorded frame: what is missing was not recorded
     first_frame: int = 0  # Number of a frame at time 0, for times by rate
     # `untimed`, `unnamed`: Where a table has no times, or no cameras: how to name the column that has them.

@@ -87,7 +87,7 @@ def check_log(
         findings = [one for one in findings if not is_overstated(one)]
     # speeds follow from the times
     if not {"geometry.cause", "log.frame_rate"} & {found.name for found in warnings_of((*findings, *rays))}:
-        rays += check_settings(config, measure_scene(geometry), samples, whole)
+        rays += check_settings(config, measure_scene(geometry, region=config.region), samples, whole)
     return (*findings, *rays)
 
 

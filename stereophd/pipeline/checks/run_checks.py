@@ -93,11 +93,12 @@ def check_tracking(
     objects = detections - clutter - outside - summary["left_out"]["burst_detections"]
     tracks = summary["tracks"]
     count = len(tracks)
-    if count == 0 and (objects >= LEAST_DETECTIONS or not detections):
+    if count == 0 and (objects + outside >= LEAST_DETECTIONS or not detections):
         why = (
             "although the log has detections beyond the clutter" if detections else "because the log has no detections"
         )
-        remedy = "run `check` on the same configuration and log; look at filter.birth and the cameras"
+        why += f", {outside:,} of which see nothing of the region" if outside else ""
+        remedy = "run `check` on the same configuration and log; look at filter.birth, the region and the cameras"
         yield Finding("tracking.tracks", "warning", f"no track was reported {why}", 0, None, None, remedy, "no_tracks")
         return
     if count == 0 or objects < LEAST_DETECTIONS:

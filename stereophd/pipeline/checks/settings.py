@@ -1,7 +1,7 @@
 """Checks of the filter's settings against the objects that the log shows: depths, speeds, region.
 
 Depths come from rays that meet, less what chance gives at other times and places. Speeds come from one-camera tracks at
-these depths: across the line of sight, over whole tracks, less what the noise of the detections gives.
+these depths: across the line of sight, over windows of them, less what the noise of the detections gives.
 """
 
 from collections.abc import Iterator
@@ -10,18 +10,22 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from stereophd.config.model import Config
+from stereophd.config.tracking import RegionConfig
 from stereophd.core.arrays import Array
+from stereophd.core.geometry.region import are_inside, half_spaces
 from stereophd.core.motion.settings import ESTIMATE
 from stereophd.core.single.settings import SingleSettings
 from stereophd.pipeline.checks.finding import Finding
 from stereophd.pipeline.checks.geometry.rays import LEAST_SCORE, TOLERANCES, Geometry, distances
 from stereophd.pipeline.checks.log.sample import MOST_BY_CHANCE, CameraSample
 from stereophd.validated import METRES
-from stereophd.wording import number, span
+from stereophd.wording import number, percent, span
 
 # Share of the depths that the region must cover, and the births, be it those of this first share of the time alone:
 # objects move away from where they appear.
 LEAST_COVERED, LEAST_BORN, BEGINNING = 0.6, 0.25, 0.25
+# Share of the places that a box must hold: it may leave out most objects, such as spectators.
+LEAST_INSIDE = 0.02
 # Factors by which a measured spread of the speed or acceleration is larger or smaller than stated: one that is a little
 # too large does little harm.
 LARGER, SMALLER = 6.0, 30.0
@@ -47,16 +51,20 @@ class MeasuredScene:
     # length/s; and by how much a component changes in a second, at most, with what noise adds, and at least, NaN of
     # short tracks.
     speed: Array | None
+    inside: float = np.nan  # Share of the places that lie in the half-spaces asked for; NaN of none
 
 
-def measure_scene(geometry: Geometry, least_score: float = LEAST_SCORE) -> MeasuredScene:
+def measure_scene(
+    geometry: Geometry, least_score: float = LEAST_SCORE, region: RegionConfig | None = None
+) -> MeasuredScene:
     """Estimate depths and speeds of the objects, from pairs of cameras with at least this score."""
-    samples, first = _depth_samples(geometry, least_score)
+    spaces = half_spaces(region.packed()) if region is not None else np.empty((0, 4))
+    samples, first, inside = _depth_samples(geometry, least_score, spaces)
     if not len(samples):
         return MeasuredScene(None, samples, samples, None)
     depths = np.quantile(samples, [0.05, 0.5, 0.95])
     chains = [sample for sample in geometry.samples if sample.linking[1] <= MOST_BY_CHANCE]
-    return MeasuredScene(depths, samples, first, _speed(chains, float(depths[1])))
+    return MeasuredScene(depths, samples, first, _speed(chains, float(depths[1])), inside)
 
 
 def _speed(samples: list[CameraSample], depth: float) -> Array | None:
@@ -68,23 +76,22 @@ def _speed(samples: list[CameraSample], depth: float) -> Array | None:
         most = noise if sample.noise_px is None else max(noise, scale * sample.noise_px[2])
         places = depth * sample.camera.rays(sample.pixels)[:, :2]
         for track in sample.tracks:
-            times = sample.times[sample.frame_of[track]]
-            if np.ptp(times) <= 0.0:
-                continue
-            (velocity,), (share,), _ = _velocities(times[None], scale * sample.pixels[None, track])
-            speed = float(np.hypot(*velocity))
-            squares.append(speed**2 - 2.0 * share * noise**2)
-            least.append(max(speed - 3.0 * np.sqrt(share) * noise, 0.0))
-            size = min(max(len(track) // 2, LEAST_WINDOW), WINDOW)
+            # what turns comes back: over all of a long track it hardly moves
+            size = len(track) if len(track) < 2 * LEAST_WINDOW else min(len(track) // 2, WINDOW)
             windows = track[: len(track) // size * size].reshape(-1, size)
-            velocities, shares, middles = _velocities(sample.times[sample.frame_of[windows]], places[windows])
-            between, steps = np.diff(middles), np.diff(velocities, axis=0)
-            # of what moves straight on the image moves along a line, faster or slower: what is across it shows turns
-            along = velocities[1:] + velocities[:-1]
-            length = np.maximum(np.linalg.norm(along, axis=1), np.finfo(np.float64).tiny)
-            across = (steps[:, 0] * along[:, 1] - steps[:, 1] * along[:, 0]) / length
-            more = (across**2 - (shares[1:] + shares[:-1]) * most**2) / between
-            if np.isfinite(more).all():
+            with np.errstate(divide="ignore", invalid="ignore"):  # of one time
+                velocities, shares, middles = _velocities(sample.times[sample.frame_of[windows]], places[windows])
+                between, steps = np.diff(middles), np.diff(velocities, axis=0)
+                # of what moves straight on the image moves along a line, faster or slower: what is across it shows
+                # turns
+                along = velocities[1:] + velocities[:-1]
+                length = np.maximum(np.linalg.norm(along, axis=1), np.finfo(np.float64).tiny)
+                across = (steps[:, 0] * along[:, 1] - steps[:, 1] * along[:, 0]) / length
+                more = (across**2 - (shares[1:] + shares[:-1]) * most**2) / between
+            if np.isfinite(velocities).all() and np.isfinite(more).all():
+                square = (velocities**2).sum(axis=1)
+                squares.append(float((square - 2.0 * shares * noise**2).mean()))
+                least.append(np.maximum(np.sqrt(square) - 3.0 * np.sqrt(shares) * noise, 0.0))
                 changes.append(np.array([len(between), ((steps**2).sum(axis=1) / between).sum(), more.sum()]))
     if len(squares) < LEAST_TRACKS or np.mean(squares) <= 2.0 * np.std(squares) / np.sqrt(len(squares)):
         return None
@@ -92,7 +99,7 @@ def _speed(samples: list[CameraSample], depth: float) -> Array | None:
     total = count.sum() if count.sum() >= LEAST_WINDOWS else np.nan
     certain = more.sum() / total - 3.0 * np.linalg.norm(more - count * more.sum() / total) / total
     change, least_change = np.sqrt([0.5 * changed.sum() / total, max(certain, 0.0)])
-    return np.array([np.sqrt(np.mean(squares) / 2.0), np.quantile(least, 0.95), change, least_change])
+    return np.array([np.sqrt(np.mean(squares) / 2.0), np.quantile(np.concatenate(least), 0.95), change, least_change])
 
 
 def _velocities(times: Array, places: Array) -> tuple[Array, Array, Array]:
@@ -104,9 +111,12 @@ def _velocities(times: Array, places: Array) -> tuple[Array, Array, Array]:
     return np.einsum("nk,nka->na", since, places) / spread[:, None], 1.0 / spread, middle
 
 
-def _depth_samples(geometry: Geometry, least_score: float) -> tuple[Array, Array]:
-    """Return 200 depths that represent the rays that meet, without those that meet by chance; and of the beginning."""
-    whole, first = [], []
+def _depth_samples(geometry: Geometry, least_score: float, spaces: Array) -> tuple[Array, Array, float]:
+    """Return 200 depths that represent the rays that meet, without those that meet by chance; and of the beginning.
+
+    And the share of them that meet inside half-spaces (h, 4); NaN of none.
+    """
+    whole, first, inside = [], [], np.zeros(2)
     views = geometry.views
     for pair, given in zip(geometry.pairs, geometry.given, strict=True):
         a, b = views[pair.a], views[pair.b]
@@ -122,8 +132,14 @@ def _depth_samples(geometry: Geometry, least_score: float) -> tuple[Array, Array
             early = pair.times <= pair.times[0] + BEGINNING * np.ptp(pair.times)
             whole.append((depth[0][near[0]], depth[1:][near[1:]]))
             first.append((depth[0, early][near[0, early]], depth[1:, early][near[1:, early]]))
+            if len(spaces):
+                shift, row, _ = np.nonzero(near)
+                pose, weights = a.camera.pose, np.where(shift == 0, 1.0, -1.0 / max(len(near) - 1, 1))
+                places = pose.center + depth[near][:, None] * (a.rays(pair.pixels_a)[row] @ pose.rotation)
+                inside += weights[are_inside(places, spaces)].sum(), weights.sum()
     shifts = max(1, geometry.pairs[0].pixels_b.shape[0] - 1) if geometry.pairs else 1
-    return _represent(whole, shifts), _represent(first, shifts)
+    share = float(inside[0] / inside[1]) if inside[1] > 0.0 else np.nan
+    return _represent(whole, shifts), _represent(first, shifts), share
 
 
 def _represent(found: list[tuple[Array, Array]], shifts: int) -> Array:
@@ -213,7 +229,17 @@ def _held(sample: CameraSample) -> float:
 
 def _region(config: Config, scene: MeasuredScene, unit: str) -> Iterator[Finding]:
     region = config.region
-    if region is None or region.depth is None or scene.depths is None:
+    if region is None or scene.depths is None:
+        return
+    remedy = "set region to where objects can be, in the unit of the configuration"
+    if scene.inside < LEAST_INSIDE:
+        yield Finding(
+            "settings.region", "warning",
+            f"{percent(max(scene.inside, 0.0))} of the rays that meet do so inside region.box or between the heights "
+            "of region.polygon: nothing else is tracked", round(scene.inside, 3), LEAST_INSIDE, None,
+            f"{remedy}, and region.polygon.up to the side where they are", "region",
+        )  # fmt: skip
+    if region.depth is None:
         return
     inside = float(((scene.depth_samples >= region.depth[0]) & (scene.depth_samples <= region.depth[1])).mean())
     if inside < LEAST_COVERED:
@@ -221,8 +247,7 @@ def _region(config: Config, scene: MeasuredScene, unit: str) -> Iterator[Finding
             "settings.region", "warning",
             f"rays meet at depths between {number(scene.depths[0])} and {number(scene.depths[2])} {unit}, outside "
             f"region.depth ({region.depth[0]:g} to {region.depth[1]:g} {unit})",
-            round(inside, 3), 1.0, None, "set region to where objects can be, in the unit of the configuration",
-            "region",
+            round(inside, 3), 1.0, None, remedy, "region",
         )  # fmt: skip
 
 

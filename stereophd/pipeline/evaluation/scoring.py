@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stereophd.config.tracking import RegionConfig
+from stereophd.core.alignment.to_truth import MOST_MISFIT, align_to_truth
 from stereophd.core.arrays import Array, Booleans
 from stereophd.core.geometry.pose import rotation_to_vector
 from stereophd.core.geometry.region import box_half_spaces
@@ -25,7 +26,7 @@ from stereophd.core.metrics.truth.interpolation import (
     in_window,
     last_event_of_each_time,
 )
-from stereophd.core.metrics.truth.registration import RATE_STD, Freedom, Registration, register
+from stereophd.core.metrics.truth.registration import RATE_STD, Freedom, Registration
 from stereophd.core.metrics.truth.scored import (
     Sightings,
     cameras_that_saw,
@@ -40,9 +41,8 @@ from stereophd.pipeline.evaluation.options import ScoreOptions
 from stereophd.pipeline.evaluation.scale import warn_of_wrong_matches
 from stereophd.wording import LOGGER, instant
 
-# Errors after alignment beyond this many times what the tracks state, and rates of a clock beyond this many standard
-# deviations, are warned of.
-MOST_MISFIT, MOST_RATE_STDS = 3.0, 3.0
+# Rates of a clock beyond this many standard deviations are warned of.
+MOST_RATE_STDS = 3.0
 
 
 @dataclass(frozen=True)
@@ -218,19 +218,17 @@ def registration_of(
     estimates = tracks.confirmed_estimates()
     used = in_window(estimates.time_s, options.from_s, options.to_s)
     try:
-        with np.errstate(over="ignore", invalid="ignore"):  # a motion that is none is refused
-            found = register(estimates.take(used), truth, max_gap_s, freedom)
+        found = align_to_truth(estimates.take(used), truth, max_gap_s, freedom)
     except ValueError as error:
-        other = "; stereophd align `to` the truth finds any offset" if options.align_clock else ""
         is_lost = isinstance(error, np.linalg.LinAlgError)
-        why = "expected tracks near the truth to begin with, found another frame or clock" if is_lost else error
-        raise InputError(f"{path}: `align`: {why}{other}") from None
+        why = "expected tracks with the motion of the truth, found none in any frame" if is_lost else error
+        raise InputError(f"{path}: `align`: {why}") from None
     LOGGER.info("tracks aligned with the truth: %s", registration_report(found.registration))
     if found.misfit > MOST_MISFIT:
         LOGGER.warning(
             "%s: `align`: after alignment the tracks are off by %.2g times what they state (median): the tracks are "
-            "wrong, or the alignment is, because frames or clocks are too far apart to begin with, or a clock runs at "
-            "another rate; score a part that two cameras see (`from_s`, `to_s`), and look at the frame rates",
+            "wrong, or the alignment is, because the truth is of other objects or times, or a clock runs at another "
+            "rate; score a part that two cameras see (`from_s`, `to_s`), and look at the frame rates",
             path, found.misfit,
         )  # fmt: skip
     warn_of_rate(path, found.registration)

@@ -401,7 +401,7 @@ def _with_detectors(
 def _source_of_detector(entry: Mapping[str, Any]) -> str:
     tracks = f"{entry['residuals']:.0f} detections of tracks that two cameras saw"
     if not entry["confirmed"]:
-        before = "the rays alone" if "sigma_px" in entry else "what is usual"
+        before = "rays and one-camera tracks alone" if "sigma_px" in entry else "what is usual"
         return f"detector: noise from {before}, {tracks} did not confirm it; look at it"
     if "box_noise" in entry:
         return f"detector: from {tracks}; the noise is that of all cameras, sigma_px that of the middles of boxes"

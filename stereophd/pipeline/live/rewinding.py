@@ -43,7 +43,7 @@ class RewindingRun:
         self.forecast_s = -math.inf
 
     def is_too_late(self, event: Event) -> bool:
-        """Whether an event comes before one whose state is no longer kept."""
+        """Whether an event comes before one that the newest left behind by more than the span."""
         return self._settled is not None and _key(event) < self._settled
 
     def work(self, event: Event) -> Sequence[Step]:
@@ -108,7 +108,7 @@ class RewindingRun:
         while count < len(self._steps) - 1 and self._steps[count].key[0] < newest - self._span_s:
             count += 1
         if count:
-            self._settled = self._steps[count].key
+            self._settled = self._steps[count - 1].key
             del self._steps[: self._kept_state(count)[0]]
 
 

@@ -188,11 +188,11 @@ def look(test: KnockTest, cameras: tuple[Camera, ...], event: Event, since_s: fl
     sums, rising_s = (None, None) if event.time_s > known.looked_s + FORGET_S else (known.sums, known.since_s)
     if known.looks >= FIRST_LOOKS and (sums is not None or median(squares) > CALM * known.spread):
         p_detect = camera.detector.p_detect
-        ratios = turn_ratios(
+        ratios, likely = turn_ratios(
             points, noise * known.spread, event.points[is_free], pinhole, all_turns(), max(1.0 - p_detect, MISSED),
             p_detect * camera.width * camera.height / len(event.points),
         )  # fmt: skip
-        sums, rising_s = _added(sums, rising_s, ratios, known.coherence, event.time_s)
+        sums, rising_s = _added(sums, rising_s, ratios, likely, known.coherence, event.time_s)
     strange = STRANGE * known.spread if known.looks >= FIRST_LOOKS else math.inf
     spread = _followed(known.spread, [each for each in squares if each < strange], TAIL, known.looks)
     lasting, together = known.lasting, []
@@ -284,10 +284,10 @@ def _followed(factor: float, squares: list[float], quantile: tuple[float, float,
 
 
 def _added(
-    sums: Array | None, since_s: Array | None, ratios: Array, coherence: float, time_s: float
+    sums: Array | None, since_s: Array | None, ratios: Array, likely: Integers, coherence: float, time_s: float
 ) -> tuple[Array | None, Array | None]:
-    """Return CUSUMs, and since when they are above 0, with the ratios (n, h) of the tracks of a look."""
-    total = frame_ratios(ratios, max(FEWEST_TRACKS, AGREEING * len(ratios))) / coherence
+    """Return CUSUMs, and since when they are above 0, with what `turn_ratios` returns of a look."""
+    total = frame_ratios(ratios, likely, max(FEWEST_TRACKS, AGREEING * len(ratios))) / coherence
     total *= min(1.0, OF_ONE_LOOK * _threshold() / max(float(total.max()), 1e-12))
     before = np.zeros(len(total)) if sums is None else sums
     after = np.maximum(before + total, 0.0)

@@ -11,16 +11,18 @@ import pyarrow.parquet as pq
 import pytest
 
 from stereophd.errors import InputError
+from stereophd.io.cameras.writing import write_cameras
 
-from .conftest import log_rows
+from .conftest import log_rows, rig
 
 Import = Callable[..., tuple[dict[str, Any], Path]]
 
 
-def write_sequence(folder: Path, rows: str, rate: float = 10.0) -> Path:
+def write_sequence(folder: Path, rows: str, rate: float = 10.0, size: tuple[int, int] = (640, 480)) -> Path:
     (folder / "det").mkdir(parents=True)
     (folder / "det" / "det.txt").write_text(rows)
-    text = f"[Sequence]\nname={folder.name}\nimDir=img1\nframeRate={rate}\nseqLength=4\nimWidth=640\nimHeight=480\n"
+    text = f"[Sequence]\nname={folder.name}\nimDir=img1\nframeRate={rate}\nseqLength=4\n"
+    text += "imWidth={}\nimHeight={}\n".format(*size)
     (folder / "seqinfo.ini").write_text(text)
     return folder
 
@@ -89,6 +91,24 @@ def test_annotations_of_coco(tmp_path: Path, imported: Import) -> None:
     (tmp_path / "bad.json").write_text("{}")
     with pytest.raises(InputError, match="expected COCO's images"):
         imported("coco", tmp_path / "bad.json", rates=2.0)
+
+
+@pytest.mark.parametrize("form", ["mot", "coco"])
+def test_a_size_of_images_that_contradicts_the_cameras_is_named(tmp_path: Path, imported: Import, form: str) -> None:
+    """The calibration is often of another resolution than the film."""
+    write_cameras(tmp_path / "cameras.yaml", rig(), "m")
+    sources = []
+    for name, width in (("left", 640), ("right", 1600)):
+        document = {
+            "images": [{"id": 1, "width": width, "height": 3 * width // 4, "file_name": "1.png"}],
+            "annotations": [{"id": 1, "image_id": 1, "bbox": [20, 20, 4, 4], "category_id": 1}],
+        }
+        (tmp_path / f"{name}.json").write_text(json.dumps(document))
+        folder = write_sequence(tmp_path / name, "1,-1,20,20,4,4,0.9\n", size=(width, 3 * width // 4))
+        sources.append(tmp_path / f"{name}.json" if form == "coco" else folder)
+    report, _ = imported(form, *sources, cameras=tmp_path / "cameras.yaml", rates=10.0)
+    (warning,) = report["warnings"]
+    assert warning.startswith("camera right: its images have 1600 x 1200 px, and its intrinsics are those of 800 x 600")
 
 
 def test_an_identity_that_no_integer_holds_is_refused(tmp_path: Path, imported: Import) -> None:

@@ -182,7 +182,7 @@ def test_points_in_space_become_a_truth(tmp_path: Path, imported: Import, sparse
         np.testing.assert_allclose([row[axis] for axis in "xyz"], expected[frame, row["object_id"]], atol=1e-9)
 
 
-def test_what_is_missing_is_named(tmp_path: Path, imported: Import) -> None:
+def test_what_is_missing_is_named(tmp_path: Path, imported: Import, caplog: pytest.LogCaptureFixture) -> None:
     _, projections, pixels = scene()
     points, coefficients = write_points(tmp_path / "p.csv", pixels), write_coefficients(tmp_path / "c.csv", projections)
     with pytest.raises(InputError, match="expected the size of the images"):
@@ -192,6 +192,10 @@ def test_what_is_missing_is_named(tmp_path: Path, imported: Import) -> None:
     one = write_coefficients(tmp_path / "one.csv", projections[:1])
     report, _ = imported("dltdv", points, one, rates=100.0, image_sizes=SIZES["left"], length_unit="m")
     assert report["warnings"] == ["p.csv, one.csv: cam2 and later have no calibration: their points are left out"]
+    caplog.clear()
+    with pytest.raises(InputError, match=r"expected one of the cameras cam1 of .*, found cam2"):
+        imported("dltdv", points, one, rates=100.0, image_sizes=STATED["image_sizes"], length_unit="m")
+    assert caplog.messages == report["warnings"]  # what explains the error
     (tmp_path / "x.csv").write_text("a,b\n1,2\n")
     with pytest.raises(InputError, match="expected points"):
         imported("dltdv", tmp_path / "x.csv", rates=100.0)

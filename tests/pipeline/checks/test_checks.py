@@ -412,6 +412,40 @@ def test_what_comes_to_rest_in_the_middle_of_the_image_shows_no_acceleration() -
     assert speed[3] == 0.0
 
 
+@pytest.mark.parametrize(
+    ("region", "named"),
+    [
+        ({"box": {"x": [-5, 5], "y": [-5, 5], "z": [3, 15]}}, False),
+        ({"box": {"x": [-5000, 5000], "y": [-5000, 5000], "z": [3000, 15000]}}, True),
+        ({"polygon": {"corners": [[-4, 2, 4], [4, 2, 4], [4, 2, 12], [-4, 2, 12]], "heights": [0, 5]}}, False),
+        ({"polygon": {"corners": [[-4, 2, 4], [4, 2, 4], [4, 2, 12], [-4, 2, 12]], "heights": [0, 5],
+                      "up": [0, 1, 0]}}, True),
+    ],
+)  # fmt: skip
+def test_a_region_without_objects_is_named(samples: list[CameraSample], region: dict[str, object], named: bool) -> None:
+    """In millimetres, or upside down: `track` reported no tracks, and no check warned."""
+    config = make_config({"filter": {"kind": "pmb", "birth": {"depth_range": DEPTHS, "velocity_std": 1.0,
+                          "per_s": 1.0}}, "motion": {"acceleration_std": 0.5}, "region": region}).config  # fmt: skip
+    scene = measure_scene(measure(samples, DEPTHS), region=config.region)
+    causes = [one.cause for one in check_settings(config, scene, samples, False) if one.status == "warning"]
+    assert causes == ["region"] * named
+
+
+def test_what_goes_in_circles_has_the_speed_of_its_way() -> None:
+    """Over the whole of a long track fish in a tank hardly move: `init` took a ninth of their speed for the limit."""
+    rng, frames = np.random.default_rng(3), 300
+    middle, phase = rng.uniform([-1, -1, 7], [1, 1, 8], (5, 3)), rng.uniform(0.0, 6.3, 5)
+    found = []
+    for k, (c, camera) in ((k, one) for k in range(frames) for one in enumerate(CAMERAS)):
+        angle = phase + k / RATE
+        points = middle + np.stack([np.cos(angle), np.sin(angle), 0.0 * angle], axis=1)
+        found.append(Frame(k / RATE, c, k, camera.project(points) + rng.normal(0.0, 0.5, (5, 2))))
+    speed = measure_scene(measure(sample_log(found, CAMERAS), DEPTHS)).speed
+    assert speed is not None
+    assert speed[0] == pytest.approx(1.0 / np.sqrt(2.0), rel=0.2)
+    assert speed[1] == pytest.approx(1.0, rel=0.2)
+
+
 @pytest.mark.parametrize("stated", ["{depth_range: [300, 900]}", "{disparity: {mean_px: 1.0, std_px: 0.2}}"])
 def test_births_that_are_proposed_are_stated_as_they_were(samples: list[CameraSample], stated: str) -> None:
     """A range beside a disparity is refused, so that the change that was proposed could not be made."""
@@ -575,6 +609,10 @@ def test_tracks_of_one_camera_are_reported() -> None:
     nothing = {"tracks": [], "left_out": {"burst_detections": 0}, "cameras": {}}
     (none,) = check_tracking(nothing, {"detections": 0, "frames": 900}, CAMERAS)
     assert (none.status, none.message) == ("warning", "no track was reported because the log has no detections")
+    nothing["cameras"] = {"left": {"frames": 100, "detections": 900, "outside_region": 900}}
+    (none,) = check_tracking(nothing, {"detections": 900, "frames": 100}, CAMERAS)
+    assert none.status == "warning"
+    assert "900 of which see nothing of the region" in none.message
     assert run(95) == []
     assert run(0) == ["one_camera_tracks"]
     # a camera without detections contradicts nothing

@@ -163,6 +163,15 @@ def test_a_frame_that_is_too_late_is_counted_or_refused(loaded: LoadedConfig, fr
     assert by_event(lines) == by_event(run(loaded, frames[:2] + frames[3:])[1]) or len(lines) == len(late) - 1
 
 
+def test_frames_of_one_time_come_in_any_order_however_rare_they_are(loaded: LoadedConfig) -> None:
+    """Those of a time-lapse, 5 s apart, were refused as older than the newest by more than 2 s."""
+    names = list(loaded.cameras)
+    messages = [Message(name, k, 5.0 * k, np.array([[300.0, 200.0]])) for k in range(3) for name in reversed(names)]
+    report, _ = run(loaded, messages)
+    assert report["frames"]["frames"] == len(messages)
+    assert report["frames"]["too_late"] == 0
+
+
 @pytest.mark.parametrize(
     ("change", "expected"),
     [

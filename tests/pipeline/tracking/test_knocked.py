@@ -155,13 +155,14 @@ def test_a_slow_camera_is_known_before_long() -> None:
 
 def test_one_look_is_no_knock_however_loud() -> None:
     """A board that jumps: the first camera to see it had turned by two corners, and the real board was called so."""
-    ratios = np.full((12, len(all_turns().spread)), 50.0)
+    ratios = np.full((12, len(all_turns().spread) + 1), 50.0)
     ratios[:, 1:] = -1.0
-    sums, since_s = _added(None, None, ratios, 1.0, 7.0)
+    likely = np.tile(np.arange(12)[:, None], ratios.shape[1])  # each has a detection of its own
+    sums, since_s = _added(None, None, ratios, likely, 1.0, 7.0)
     assert sums is not None
     assert sums.argmax() == 0
     assert 0.5 * _threshold() < sums.max() < _threshold()
-    sums, since_s = _added(sums, since_s, ratios, 1.0, 7.2)
+    sums, since_s = _added(sums, since_s, ratios, likely, 1.0, 7.2)
     assert sums is not None
     assert since_s is not None
     assert (sums[0] > _threshold(), since_s[0]) == (True, 7.0)

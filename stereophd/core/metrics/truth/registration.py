@@ -21,7 +21,7 @@ import numpy as np
 from stereophd.core.arrays import Array, Integers
 from stereophd.core.geometry.pose import rotation_from_vector
 from stereophd.core.geometry.rotations import cross_matrices
-from stereophd.core.metrics.errors import independent_count
+from stereophd.core.metrics.errors import independent_means
 from stereophd.core.metrics.truth.interpolation import Truth, align_truth
 from stereophd.core.numerics.rows import ArrayRows
 
@@ -169,14 +169,9 @@ class Residuals:
         return float(self.distances[order][np.searchsorted(known, 0.5 * known[-1])])
 
     def variance(self, track_ids: Integers) -> float:
-        """Variance, in parts of what is stated, of errors as alike as these when they are taken for independent.
-
-        If their correlation falls exponentially, with the r errors worth m of a mean square (`independent_count`),
-        those of a mean are worth about r / (2 r / m - 1).
-        """
+        """Variance, in parts of what is stated, of errors as alike as these when they are taken for independent."""
         errors = np.sqrt(self.weights)[:, None] * self.whitened
-        alike = 2.0 * len(errors) / max(independent_count(errors, track_ids), 1.0) - 1.0
-        return max(alike, 1.0) * (0.25 * self.reach / MEDIAN_DISTANCE) ** 2
+        return len(errors) / independent_means(errors, track_ids) * (0.25 * self.reach / MEDIAN_DISTANCE) ** 2
 
 
 def register(

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from stereophd.core.alignment.to_truth import align_to_truth
 from stereophd.core.geometry.pose import rotation_from_vector, rotation_to_vector
 from stereophd.core.metrics.truth.interpolation import Truth
 from stereophd.core.metrics.truth.registration import Freedom, TrackedPlaces, register
@@ -51,6 +52,24 @@ def test_frame_scale_and_clock_are_found(clock, scale):
     assert found.estimates > 650
     np.testing.assert_allclose(found.times(at), 115.0 + shift + rate * (at - 115.0), atol=2e-3)
     np.testing.assert_allclose(found.track_times(found.times(at)), at, atol=1e-9)
+
+
+@pytest.mark.parametrize("clock", [False, True], ids=["frame", "clock"])
+def test_tracks_of_several_objects_in_any_frame_are_aligned(clock):
+    """Tracks of cameras from nothing, in the frame of a camera and a 13th as large, were aligned wrongly or not."""
+    times, paths = two_objects()
+    turn, move, shift = rotation_from_vector(np.array([1.4, -0.9, 0.8])), np.array([60.0, -40.0, 9.0]), 47.3 * clock
+    at = np.linspace(103.0, 127.0, 350)
+    seen = interpolated(times, paths, at) + np.random.default_rng(2).normal(0.0, 0.02, (350, 2, 3))
+    tracks = ((seen - move) @ turn / 13.0).reshape(-1, 3)
+    seen = estimates(np.repeat(at - shift, 2), tracks, np.tile(np.eye(3) * (0.02 / 13.0) ** 2, (700, 1, 1)),
+                     np.tile([0, 1], 350))  # fmt: skip
+    found = align_to_truth(seen, as_truth(times, paths), 0.1, Freedom(True, True, clock))
+    np.testing.assert_allclose(found.registration.rotation, turn, atol=2e-3)
+    np.testing.assert_allclose(found.registration.translation, move, atol=0.1)
+    assert found.registration.scale == pytest.approx(13.0, rel=1e-3)
+    assert found.misfit == pytest.approx(1.0, abs=0.1)
+    np.testing.assert_allclose(found.registration.times(at - shift), at, atol=0.01)
 
 
 def test_places_that_one_camera_saw_hardly_count():
