@@ -29,7 +29,9 @@ from stereophd.core.calibration.unknowns.quantities.registry import quantities
 from stereophd.core.disparity.trips import disparity_scale
 from stereophd.core.geometry.camera import Camera
 from stereophd.core.geometry.pose import Pose, rotation_to_vector
+from stereophd.core.motion.settings import ESTIMATE
 from stereophd.core.numerics.random_streams import CAMERA_DISCOVERY
+from stereophd.core.single.settings import SingleSettings
 from stereophd.errors import InputError
 from stereophd.pipeline.calibration.configured_unknowns import calibration_section
 from stereophd.pipeline.calibration.problem import CalibrationProblem, Outcome, pmb_filter
@@ -37,6 +39,7 @@ from stereophd.pipeline.checks.check_log import check_log
 from stereophd.pipeline.checks.finding import warnings_of
 from stereophd.pipeline.control import alignment_report
 from stereophd.pipeline.initial.acceleration import with_estimated_motion
+from stereophd.pipeline.initial.draft import UNCERTAIN
 from stereophd.pipeline.stream import covered, open_stream
 from stereophd.validated import NO_LENGTH
 
@@ -92,6 +95,16 @@ class FoundCameras:
             for camera in self.rig.cameras
         }  # fmt: skip
         return out
+
+    def with_motion_to_estimate(self, loaded: LoadedConfig) -> LoadedConfig:
+        """Return a configuration whose acceleration is to be estimated where no length is known, so that it is a guess.
+
+        That of `calibrate` itself describes the usual motion, and tracks are lost where objects turn more than that.
+        """
+        is_stated = getattr(loaded.config.motion, "acceleration_std", None) is not None
+        if self.has_scale or not is_stated or isinstance(loaded.config.filter, SingleSettings):
+            return loaded
+        return variant(loaded, [("no length is known", {"motion.acceleration_std": ESTIMATE})])
 
     def judged(self, problem: CalibrationProblem, outcome: Outcome) -> Outcome:
         """Return an outcome with the report of the search, and what is known too badly to be called determined."""
@@ -171,6 +184,9 @@ def with_found_cameras(
     space = multi_filter.rig.packed[reference]
     expected = disparity_scale(space) / multi_filter.settings.birth.disparity_moments(space)[0]
     placed = with_unit(placed, NO_LENGTH, rig.depth(reference) / expected)
+    if placed.config.report.max_position_std is None:
+        limit_of_tracks = {"report.max_position_std": UNCERTAIN * rig.depth(reference)}
+        placed = variant(placed, [("the depth of the objects", limit_of_tracks)])
     if not limit.begin("settings are compared with what the tracks show"):
         return placed, found
     contradicted = [

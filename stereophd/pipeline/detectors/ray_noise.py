@@ -154,11 +154,12 @@ def starting_detectors(
     """Return cameras with detectors to begin a first tracking run with, and what is known of their noise by then.
 
     The detectors of the cameras of `estimated` names are those that are replaced. Where poses are not known or wrong
-    (not `are_placed`), each camera alone shows its noise, and what is false where one-camera tracks hold. Where nothing
-    is compared, the noise is as the detectors have it.
+    (not `are_placed`), and where no cameras can be compared, each camera alone shows its noise, and what is false where
+    one-camera tracks hold. Without detections, and of one camera, the noise is as the detectors have it.
     """
     noise, spreads = np.array([camera.detector.sigma for camera in cameras]), np.full(len(cameras), NOISE_SPREAD)
-    if are_compared(samples):
+    are_placed &= are_compared(samples)
+    if len(samples) > 1 and any(len(sample.pixels) for sample in samples):
         noise, spreads = noise_from_rays(samples, are_placed)
     used, priors = [], {}
     for k, camera in enumerate(cameras):

@@ -24,6 +24,7 @@ from stereophd.core.motion.settings import ESTIMATE
 from stereophd.core.single.settings import SingleSettings
 from stereophd.errors import InputError
 from stereophd.pipeline.build import build_labelled_filter
+from stereophd.pipeline.detectors.displacements import USUAL_RATIO, WIDER
 from stereophd.pipeline.detectors.passes import stretches
 from stereophd.pipeline.initial.template import rounded
 from stereophd.pipeline.stream import open_stream
@@ -38,8 +39,6 @@ LEAST_GAIN = 2.0
 # Events of a window, the share of the population whose manoeuvres may be left out, and the steps in which its
 # distribution is found.
 WINDOW, LEFT_OUT, STEPS = 25, 0.02, 500
-# Acceleration to start from over the spread of the velocity, 1/s.
-USUAL_RATIO = 0.3
 
 
 @dataclass(frozen=True)
@@ -57,17 +56,21 @@ class AccelerationEstimate:
         return {"acceleration_std": self.value, "most_likely": self.usual, "events": self.events, "tried": tried}
 
 
-def estimate_acceleration(loaded: LoadedConfig, parts: Sequence[Sequence[Event]], start: float) -> AccelerationEstimate:
+def estimate_acceleration(
+    loaded: LoadedConfig, parts: Sequence[Sequence[Event]], start: float, cameras: tuple[Camera, ...] | None = None
+) -> AccelerationEstimate:
     """Return the acceleration of the objects, length/s^2, from stretches of a log and a starting value.
 
-    The configuration has a filter for many objects; its own acceleration does not count.
+    The configuration has a filter for many objects; its own acceleration does not count, nor do its cameras if others
+    are given.
     """
     found: dict[float, Array] = {}
 
     def likelihoods(value: float) -> Array:
         """Return the log-likelihood of every event."""
         if value not in found:
-            found[value] = log_likelihoods(variant(loaded, [("estimate", {"motion.acceleration_std": value})]), parts)
+            stated = variant(loaded, [("estimate", {"motion.acceleration_std": value})])
+            found[value] = log_likelihoods(stated, parts, cameras)
         return found[value]
 
     def climb(value: float, factor: float, least: float) -> float:
@@ -138,11 +141,14 @@ def _of_windows(found: dict[float, Array]) -> float:
     return values[int((np.cumsum(shares) >= 1.0 - left_out).argmax())]
 
 
-def with_estimated_motion(loaded: LoadedConfig, log_path: Path | str) -> tuple[LoadedConfig, dict[str, Any] | None]:
+def with_estimated_motion(
+    loaded: LoadedConfig, log_path: Path | str, cameras: tuple[Camera, ...] | None = None
+) -> tuple[LoadedConfig, dict[str, Any] | None]:
     """Return a configuration with the acceleration that the log shows, and what to report of it.
 
-    Without ``motion.acceleration_std: estimate`` the configuration comes back as it is. Raises InputError if the filter
-    is not one for many objects, or the log has too few frames.
+    Calibrated cameras can take the place of those of the configuration, which comes back as it is without
+    ``motion.acceleration_std: estimate``. Raises InputError if the filter is not one for many objects, or the log has
+    too few frames.
     """
     config = loaded.config
     if getattr(config.motion, "acceleration_std", None) != ESTIMATE:
@@ -152,14 +158,14 @@ def with_estimated_motion(loaded: LoadedConfig, log_path: Path | str) -> tuple[L
             f"{loaded.path}: motion.acceleration_std: expected a number where filter.kind is not phd or pmb, found "
             f"{ESTIMATE}"
         )
-    parts = [list(part) for part in stretches(open_stream(config, loaded.build_cameras(), log_path))]
+    parts = [list(part) for part in stretches(open_stream(config, cameras or loaded.build_cameras(), log_path))]
     if sum(map(len, parts)) < LEAST_EVENTS:
         raise InputError(
             f"{log_path}: expected at least {LEAST_EVENTS} frames to estimate motion.acceleration_std from, found "
             f"{sum(map(len, parts))}; state a number"
         )
-    start = USUAL_RATIO * float(np.max(config.filter.birth.velocity_std))
-    estimate = estimate_acceleration(loaded, parts, start)
+    start = USUAL_RATIO * float(np.max(config.filter.birth.velocity_std)) / WIDER
+    estimate = estimate_acceleration(loaded, parts, start, cameras)
     LOGGER.info("%s: motion.acceleration_std estimated: %g", log_path, estimate.value)
     stated = variant(loaded, [("estimated from the log", {"motion.acceleration_std": estimate.value})])
     return stated, estimate.report()
