@@ -293,10 +293,22 @@ def test_a_residual_is_that_of_the_component_which_made_the_detection(
     assert sighting.detected.tolist() == [0.4]
 
 
+def test_misses_of_whole_tracks_are_no_chance_of_single_frames() -> None:
+    """Of three tracks one loses a fifth of its detections to others: by hand, with the prior of five frames."""
+    vague, present = NoisePrior(np.array([1.0, 1.0]), 100.0), Detector((1.0, 1.0), 0.9, 1.0)
+    errors = []
+    for looks in ([[99.0, 1.0], [99.0, 1.0], [80.0, 20.0]], [[93.0, 7.0], [93.0, 7.0], [92.0, 8.0]]):
+        found = estimate_detector(DetectorSums(looks=[np.array(one) for one in looks]), present, vague)
+        assert found.detector.p_detect == pytest.approx(p := (278.0 + 4.5) / 305.0)
+        errors.append(found.p_detect_error)
+    assert errors[0] == pytest.approx(np.sqrt(2.0 * (99.0 - 100.0 * p) ** 2 + (80.0 - 100.0 * p) ** 2) / 305.0)
+    assert errors[1] == pytest.approx(np.sqrt(p * (1.0 - p) / 305.0))
+
+
 def test_values_from_sums() -> None:
     """By hand: two kinds of residuals, twice as large as expected; a quarter missed; clutter what is left over."""
     present = Detector((2.0, 3.0), 0.9, 1.0)
-    sums = DetectorSums(pairs=100.0, detected=75.0, missed=25.0, frames=50, detections=200, attributed=150)
+    sums = DetectorSums(pairs=100.0, looks=[np.array([75.0, 25.0])], frames=50, detections=200, attributed=150)
     # shares R / S of 0.8 and 0.4, fifty residuals each, e^2 = 4 S
     for share in (np.full(2, 0.8), np.full(2, 0.4)):
         sums.residuals = sums.residuals + 50 * share * 4.0
@@ -411,7 +423,7 @@ def test_passes_that_make_the_log_less_probable_are_not_kept(tmp_path: Path, mon
         for camera in cameras:
             likelihood -= 500.0 * float((np.log(camera.detector.sigma / 2.0) ** 2).mean())
             likelihood -= 100.0 * abs(np.log(camera.detector.clutter_per_frame))
-            sums = DetectorSums(pairs=400.0, frames=100, detections=100, attributed=100, detected=90.0, missed=10.0)
+            sums = DetectorSums(pairs=400.0, frames=100, detections=100, attributed=100, looks=[np.array([90.0, 10.0])])
             sums.residuals, sums.weights = np.full(2, 400.0 * 1.3**2), np.full(2, 400.0)
             sums.shares = np.full(2, 400.0)
             estimates[camera.name] = estimate_detector(sums, camera.detector, priors[camera.name])

@@ -45,6 +45,7 @@ class _Settled:
         self.seen_by: dict[int, set[int]] = {}
         self.confirmed: set[int] = set()
         self._waiting: dict[int, dict[int, list[float]]] = {}
+        self._counts: dict[tuple[int, int], NDArray[np.float64]] = {}
 
     def labels(self) -> NDArray[np.int64]:
         """Return the labels that are confirmed and were seen by two cameras."""
@@ -60,8 +61,10 @@ class _Settled:
         waiting[1] += missed / (detected + missed)
         if detected > missed:
             for index, (hits, misses) in self._waiting.pop(label).items():
-                sums[index].detected += hits
-                sums[index].missed += misses
+                if (label, index) not in self._counts:
+                    self._counts[label, index] = np.zeros(2)
+                    sums[index].looks.append(self._counts[label, index])
+                self._counts[label, index] += hits, misses
 
     def keep(self, labels: Collection[int]) -> None:
         """Forget all labels but these."""

@@ -35,7 +35,7 @@ from stereophd.pipeline.initial.measured import SceneFigures, measure_with_filte
 from stereophd.pipeline.initial.template import Choice, Draft, rounded
 from stereophd.pipeline.stream import EventStream, open_log, open_stream
 from stereophd.pipeline.tracking.tracking_run import with_detectors
-from stereophd.wording import PROGRESS, counted, number
+from stereophd.wording import PROGRESS, counted, number, percent
 
 # Score from which rays of two cameras meet. It is lower than in a check, because the filter runs afterwards.
 MEETING_SCORE = 2.5
@@ -364,6 +364,7 @@ def _with_acceleration(draft: Draft, parts: list[list[Event]], name: str, step: 
     start = float(draft.usual_acceleration or draft.choices["motion.acceleration_std"].value)
     found = estimate_acceleration(loaded_draft(draft, name), parts, start)
     why = f"from the likelihood of {len(found.tried)} values over {found.events} events"
+    why += f", to {percent(found.error)}" if found.error else ""
     if found.value > found.usual:
         why += f" ({found.usual:g} for most of them, more where objects turn)"
     chosen = Choice(found.value, f"{why}; {draft.unit}/s^2")
