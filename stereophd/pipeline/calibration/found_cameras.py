@@ -39,7 +39,7 @@ from stereophd.pipeline.checks.check_log import check_log
 from stereophd.pipeline.checks.finding import warnings_of
 from stereophd.pipeline.control import alignment_report
 from stereophd.pipeline.initial.acceleration import with_estimated_motion
-from stereophd.pipeline.initial.draft import UNCERTAIN
+from stereophd.pipeline.initial.draft import FARTHER, NEARER, UNCERTAIN
 from stereophd.pipeline.stream import covered, open_stream
 from stereophd.validated import NO_LENGTH
 
@@ -183,10 +183,14 @@ def with_found_cameras(
     multi_filter = pmb_filter(placed, rig.cameras)
     space = multi_filter.rig.packed[reference]
     expected = disparity_scale(space) / multi_filter.settings.birth.disparity_moments(space)[0]
-    placed = with_unit(placed, NO_LENGTH, rig.depth(reference) / expected)
+    # lengths in a unit that nobody knows are guesses: they yield to what the tracks show with these cameras
+    near, middle, far = np.quantile(rig.depths(reference), [0.01, 0.5, 0.99]).tolist()
+    placed, shown = with_unit(placed, NO_LENGTH, middle / expected), dict[str, Any]()
     if placed.config.report.max_position_std is None:
-        limit_of_tracks = {"report.max_position_std": UNCERTAIN * rig.depth(reference)}
-        placed = variant(placed, [("the depth of the objects", limit_of_tracks)])
+        shown["report.max_position_std"] = UNCERTAIN * middle
+    if getattr(getattr(placed.config.filter, "birth", None), "depth_range", None) is not None:
+        shown["filter.birth.depth_range"] = [NEARER * near, FARTHER * far]
+    placed = variant(placed, [("the depths of the objects", shown)])
     if not limit.begin("settings are compared with what the tracks show"):
         return placed, found
     contradicted = [
@@ -196,7 +200,6 @@ def with_found_cameras(
     ]
     if not contradicted:
         return placed, found
-    # lengths in a unit that nobody knows are guesses: they yield to what the tracks show with these cameras
     changes = {".".join(map(str, path)): value.data for path, value in contradicted}
     placed, _ = with_estimated_motion(variant(placed, [("what the tracks show", changes)]), log_path)
     return placed, replace(found, estimated=tuple(changes))

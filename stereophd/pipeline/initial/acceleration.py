@@ -5,9 +5,9 @@ Kirubarajan, "Estimation with Applications to Tracking and Navigation", 2001, se
 Real objects turn in short manoeuvres, which a log of mostly steady flight outvotes, and a track that does not follow
 a manoeuvre costs more than one that settles late. Short windows of the log are therefore a sample of a population of
 accelerations, whose distribution is that of greatest likelihood (N. Laird, "Nonparametric maximum likelihood estimation
-of a mixing distribution", JASA 73, 1978). Where that is certainly more probable than one value, the value is large
-enough for nearly all of it. Else it is the top of the parabola through the likelihoods of the best values, whose
-curvature gives the standard error.
+of a mixing distribution", JASA 73, 1978). Where that is more probable than one value, for so many shares (G. Schwarz,
+Annals of Statistics 6, 1978), the value is large enough for nearly all of it. Else it is the top of the parabola
+through the likelihoods of the best values, whose curvature gives the standard error.
 """
 
 from collections.abc import Sequence
@@ -35,9 +35,8 @@ from stereophd.wording import LOGGER
 LEAST_EVENTS = 20
 # Factor between neighbouring values, and their number in either direction from the first.
 FACTOR, MOST_STEPS = 3.0, 8
-# Log-likelihood that a smaller value must gain: where objects keep their velocity, it rises without end; and that a
-# population of values must gain over one: odds of 1,000 to 1.
-LEAST_GAIN, VARIES = 2.0, float(np.log(1000.0))
+# Log-likelihood that a smaller value must gain: where objects keep their velocity, it rises without end.
+LEAST_GAIN = 2.0
 # Events of a window, the share of the population whose manoeuvres may be left out, and the steps in which its
 # distribution is found.
 WINDOW, LEFT_OUT, STEPS = 25, 0.02, 500
@@ -100,26 +99,27 @@ def estimate_acceleration(
         if likelihoods(rounded(usual * factor)).sum() > likelihoods(usual).sum() + LEAST_GAIN:
             usual = rounded(usual * factor)
             break
-    near, error = sorted(found), None
+    near, best, error = sorted(found), usual, None
     if 0 < (place := near.index(usual)) < len(near) - 1:
         apart = np.log(near[place - 1 : place + 2]) - np.log(usual)
         bend, slope, _ = np.polyfit(apart, [likelihoods(value).sum() for value in near[place - 1 : place + 2]], 2)
         if bend < 0.0 and apart[0] < (top := -0.5 * slope / bend) < apart[2]:
             error = float((-2.0 * bend) ** -0.5)
-            usual = max(usual, rounded(usual * np.exp(top)), key=lambda value: float(likelihoods(value).sum()))
+            best = max(usual, rounded(usual * np.exp(top)), key=lambda value: float(likelihoods(value).sum()))
     for _ in range(MOST_STEPS):  # until it lies within the values tried, with its neighbours among them
-        value = _of_windows(found, usual)
+        grid = {value: one for value, one in found.items() if value != best or value == usual}
+        value = _of_windows(grid, found[best])
+        if value is None or value <= usual:
+            break
         missing = {rounded(value * FACTOR**power) for power in (-0.5, 0.5)} - found.keys()
         if value == max(found):
             missing = {rounded(value * FACTOR)}
-        if not missing or value <= usual:
+        if not missing:
             break
         for neighbour in missing:
             likelihoods(neighbour)
-    value = max(usual, _of_windows(found, usual))
-    best = found[usual].sum()
-    tried = {a: round(float(one.sum() - best), 2) for a, one in found.items()}
-    return AccelerationEstimate(value, usual, error, tried, sum(map(len, parts)))
+    tried = {a: round(float((one - found[best]).sum()), 2) for a, one in found.items()}
+    return AccelerationEstimate(max(best, value or 0.0), best, error, tried, sum(map(len, parts)))
 
 
 def log_likelihoods(
@@ -139,22 +139,22 @@ def log_likelihoods(
     return np.array(found)
 
 
-def _of_windows(found: dict[float, Array], usual: float) -> float:
+def _of_windows(found: dict[float, Array], best: Array) -> float | None:
     """Return the least value that is enough for all but a few of the population that windows of the log show.
 
-    It is the `usual` one where the population is not certainly more probable than that.
+    None where the population is not more probable, for its shares, than one value, of `best` log-likelihoods (events,).
     """
     values = sorted(found)
-    table = np.stack([found[value] for value in values])
+    table = np.stack([found[value] - best for value in values])
     count = max(1, table.shape[1] // WINDOW)
     windows = np.stack([part.sum(axis=1) for part in np.array_split(table, count, axis=1)], axis=1)
-    likelihood = np.exp(windows - windows.max(axis=0))
+    likelihood = np.exp(windows - (most := windows.max(axis=0)))
     shares = np.full(len(values), 1.0 / len(values))
     for _ in range(STEPS):
         joint = shares[:, None] * likelihood
         shares = (joint / joint.sum(axis=0)).mean(axis=1)
-    if np.log(shares @ likelihood).sum() <= np.log(likelihood[values.index(usual)]).sum() + VARIES:
-        return usual
+    if (np.log(shares @ likelihood) + most).sum() <= 0.5 * (len(values) - 1) * np.log(count):
+        return None
     left_out = min(0.5, max(LEFT_OUT, 1.5 / count))  # whatever a single window shows
     return values[int((np.cumsum(shares) >= 1.0 - left_out).argmax())]
 
