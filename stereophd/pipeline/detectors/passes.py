@@ -229,7 +229,11 @@ def estimate_detectors(
         if (prior := priors.get(camera.name)) is not None:
             estimate = best.estimates[camera.name]
             noise = prior.of(camera.detector) if estimate.confirmed or best.own_noise else prior.noise
-            estimate = replace(estimate, detector=prior.put(camera.detector, noise), noise=noise)
+            # the run had another probability of detection than its tracks show: that of the run before
+            apart = camera.detector.p_detect - estimate.detector.p_detect
+            error = float(np.hypot(estimate.p_detect_error, apart))
+            detector = prior.put(camera.detector, noise)
+            estimate = replace(estimate, detector=detector, noise=noise, p_detect_error=error)
             final[camera.name] = estimate.lasting(prior)
     report = {name: _report(estimate, priors[name]) for name, estimate in final.items()}
     found = {"passes": runs, "converged": runs < MOST_RUNS, "noise_in_log": best.own_noise, "cameras": report}
