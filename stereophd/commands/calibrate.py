@@ -47,6 +47,7 @@ from stereophd.pipeline.checks.check_log import check_log, report_findings
 from stereophd.pipeline.checks.finding import Finding
 from stereophd.pipeline.checks.run_checks import FinishedRun
 from stereophd.pipeline.control import points_report
+from stereophd.pipeline.initial.acceleration import with_estimated_motion
 from stereophd.pipeline.runs.progress import Progress, ignore
 from stereophd.pipeline.runs.sizes import check_size
 from stereophd.pipeline.runs.unfinished import UNFINISHED_FILES, UnfinishedRun
@@ -137,6 +138,9 @@ def calibrate(
                 rows_of(uncertainty), NOISE_NOTE if is_other_noise else "",
             )  # fmt: skip
             limit.begin("tracks are made with the cameras")
+            if unknown is not None:
+                yielding = unknown.with_motion_to_estimate(loaded)
+                loaded, report["motion"] = with_estimated_motion(yielding, log_path, cameras)
             of_tables = to_metadata({**record, "units": {"length": loaded.config.units.length}})
             report["tracking"], further = _track(loaded, uncertainty, log_path, out, of_tables, progress)
             findings += report_findings(further)
@@ -168,7 +172,11 @@ def _findings_of(report: dict[str, Any], remarks: tuple[Remark, ...]) -> list[di
         text = f"{report['status']}: {report['reason']}"
         # logged at the end, after the outputs
         found.append(Finding("calibration.status", "warning", text, cause=report["status"].replace(" ", "_")).as_dict())
-    said = tuple(Finding(f"calibration.{remark.topic}", "warning", remark.text) for remark in remarks)
+    unit = report["length_unit"]
+    said = tuple(
+        Finding(f"calibration.{remark.topic}", "warning", remark.text.replace(" length/s^2", f" {unit}/s^2"))
+        for remark in remarks
+    )
     return found + report_findings(said)
 
 

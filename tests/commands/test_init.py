@@ -240,7 +240,7 @@ def test_noise_follows_from_one_camera_tracks_where_poses_are_unknown(scene: Pat
     # nothing shows the depths, but speeds go with those that are usual
     choices = {row["key"]: row for row in report["values"]}
     assert "not measured" in choices["filter.birth.depth_range"]["source"]
-    assert "from displacements" in choices["motion.acceleration_std"]["source"]
+    assert "one-camera tracks swerve" in choices["motion.acceleration_std"]["source"]
     near, far = choices["filter.birth.depth_range"]["value"]
     middle = 2.0 / (1.0 / near + 1.0 / far)
     # with known cameras 0.05 of the depth per second is written
@@ -308,7 +308,7 @@ def test_an_acceleration_is_not_estimated_elsewhere(scene: Path, tmp_path: Path)
 def test_one_agile_object_among_many_at_rest_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
     """Below the acceleration of the agile one its tracks are lost, and the likelihood rises with those at rest."""
 
-    def likelihoods(loaded: Any, parts: Any) -> np.ndarray[Any, Any]:
+    def likelihoods(loaded: Any, parts: Any, cameras: Any) -> np.ndarray[Any, Any]:
         value = loaded.config.motion.acceleration_std
         return np.full(100, 0.1 * max(-np.log(value / 0.3), 20.0 - 20.0 * np.log(value / 2.0) ** 2))
 
@@ -323,9 +323,23 @@ def test_windows_bound_the_acceleration_from_below() -> None:
     quiet = {0.1: 0.0, 0.3: -0.2, 1.0: -1.0}
     manoeuvre = {0.1: -9.0, 0.3: -4.0, 1.0: 0.0}
     likelihoods = {a: np.r_[np.full(350, quiet[a]), np.full(50, manoeuvre[a])] for a in quiet}
-    assert _of_windows(likelihoods) == 1.0
+    assert _of_windows(likelihoods, likelihoods[0.1]) == 1.0
     likelihoods = {a: np.r_[np.full(375, quiet[a]), np.full(25, manoeuvre[a])] for a in quiet}
-    assert _of_windows(likelihoods) == 0.1  # one window may be anything
+    assert _of_windows(likelihoods, likelihoods[0.1]) == 0.1  # one window may be anything
+    # windows that differ by chance are no population: its largest value would be too large
+    alike = {0.1: np.tile([0.0, -0.02], 8), 0.3: np.tile([-0.02, -0.002], 8)}
+    alike = {a: np.repeat(one, 25) for a, one in alike.items()}
+    assert _of_windows(alike, alike[0.1]) is None
+
+
+def test_the_top_of_the_likelihood_lies_between_the_values_tried(monkeypatch: pytest.MonkeyPatch) -> None:
+    def likelihoods(loaded: Any, parts: Any, cameras: Any) -> np.ndarray[Any, Any]:
+        return np.full(100, -0.5 * (np.log(loaded.config.motion.acceleration_std / 0.43) / 0.1) ** 2 / 100.0)
+
+    monkeypatch.setattr(acceleration, "log_likelihoods", likelihoods)
+    found = acceleration.estimate_acceleration(load_config(ROOT / "configs" / "quickstart.yaml"), [[]], 0.03)
+    assert found.value == found.usual == 0.43
+    assert found.error == pytest.approx(0.1, rel=1e-3)
 
 
 def test_too_short_a_log_needs_a_number(written: tuple[Path, dict[str, Any]], scene: Path, monkeypatch: Any) -> None:

@@ -7,7 +7,7 @@ import pytest
 
 from stereophd.io.logs.reading import Frame
 from stereophd.pipeline.checks.log.sample import CameraSample, sample_log
-from stereophd.pipeline.detectors.displacements import likelihoods_of_displacements, usual_turn
+from stereophd.pipeline.detectors.displacements import likelihoods_of_displacements, usual_motion
 from stereophd.pipeline.detectors.mixture import NOISES
 from tests.scenes import build_camera
 
@@ -45,8 +45,26 @@ def test_displacements_of_a_crowd_tell_its_noise_where_it_moves_by_less(noise: f
 def test_displacements_of_a_crowd_tell_its_speed(speed: float) -> None:
     """Also where objects move farther than their neighbours are, so that nearest neighbours are others."""
     sample = crowd(1.0, 300, 7, speed, 4)
-    turn = usual_turn([sample.with_camera(sample.camera.with_noise(1.0))], {})
+    turn, _ = usual_motion([sample.with_camera(sample.camera.with_noise(1.0))], {})
     assert abs(np.log(turn * DEPTH / speed)) < np.log(1.4)
+
+
+@pytest.mark.parametrize(("noise", "acceleration"), [(0.3, 0.3), (1.0, 1.0), (1.0, 10.0)])
+def test_third_differences_tell_the_acceleration(noise: float, acceleration: float) -> None:
+    """Of three objects for eight seconds, whatever their speed is."""
+    rng = np.random.default_rng(6)
+    camera, step = build_camera("cam"), 1.0 / RATE
+    frames, places = [], np.array([[-3.0, -2.0], [0.0, 2.0], [3.0, 0.0]])
+    velocity = rng.normal(0.0, 0.2, places.shape)
+    for k in range(200):
+        pixels = camera.project(np.column_stack([places, np.full(3, DEPTH)]))
+        frames.append(Frame(k * step, 0, k, pixels + rng.normal(0.0, noise, pixels.shape)))
+        swerve = rng.normal(0.0, acceleration * step**0.5, places.shape)
+        places = places + step * velocity + swerve * step * (0.5 + 12.0**-0.5 * rng.normal(size=places.shape))
+        velocity = 0.98 * (velocity + swerve)
+    sample = sample_log(frames, (camera,))[0]
+    _, found = usual_motion([sample.with_camera(sample.camera.with_noise(noise))], {})
+    assert abs(np.log(found * DEPTH / acceleration)) < np.log(1.5)
 
 
 def test_one_object_tells_little() -> None:

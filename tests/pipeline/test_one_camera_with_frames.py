@@ -76,7 +76,7 @@ def test_cameras_agree_that_do_so_at_the_most_probable_acceleration(monkeypatch:
         return -100.0 if asked[-1] == 8.0 and len(group) == 2 else 0.0
 
     monkeypatch.setattr(drafts, "loaded_draft", _loaded)
-    estimate = AccelerationEstimate(8.0, 0.5, {}, 40)
+    estimate = AccelerationEstimate(8.0, 0.5, None, {}, 40)
     monkeypatch.setattr(drafts, "_log_likelihood", likelihood)
     monkeypatch.setattr(drafts, "estimate_acceleration", lambda *_: estimate)
     monkeypatch.setattr(drafts, "measure_with_filter", lambda *_: None)

@@ -150,6 +150,16 @@ def test_each_camera_shows_its_noise_beside_one_that_moves() -> None:
         assert 0.4 < camera.detector.sigma.mean() < 0.9
 
 
+def test_one_camera_that_alone_has_detections_shows_its_noise() -> None:
+    cameras = cameras_at((-3.0, 0.0), (3.0, 0.5))
+    first, second = samples_of(cameras, [0.6, 0.6], 5, 100, 0.5)
+    empty = replace(second, pixels=np.empty((0, 2)), first=np.zeros(len(second.times) + 1, dtype=np.int64))
+    used, priors = starting_detectors(cameras, [camera.name for camera in cameras], [first, empty])
+    assert 0.45 < used[0].detector.sigma[0] < 0.8
+    assert used[0].detector.clutter_per_frame == pytest.approx(0.5, rel=0.4)
+    assert priors[cameras[1].name].spread > priors[cameras[0].name].spread
+
+
 def test_detections_that_no_track_links_are_not_all_false() -> None:
     """One-camera tracks link hardly any detection of this noise; of about eleven in a frame half a one is false."""
     cameras = cameras_at((-3.0, 0.0), (3.0, 0.5), (0.0, -3.0))

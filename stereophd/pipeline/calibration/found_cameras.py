@@ -29,7 +29,9 @@ from stereophd.core.calibration.unknowns.quantities.registry import quantities
 from stereophd.core.disparity.trips import disparity_scale
 from stereophd.core.geometry.camera import Camera
 from stereophd.core.geometry.pose import Pose, rotation_to_vector
+from stereophd.core.motion.settings import ESTIMATE
 from stereophd.core.numerics.random_streams import CAMERA_DISCOVERY
+from stereophd.core.single.settings import SingleSettings
 from stereophd.errors import InputError
 from stereophd.pipeline.calibration.configured_unknowns import calibration_section
 from stereophd.pipeline.calibration.problem import CalibrationProblem, Outcome, pmb_filter
@@ -37,6 +39,7 @@ from stereophd.pipeline.checks.check_log import check_log
 from stereophd.pipeline.checks.finding import warnings_of
 from stereophd.pipeline.control import alignment_report
 from stereophd.pipeline.initial.acceleration import with_estimated_motion
+from stereophd.pipeline.initial.draft import FARTHER, NEARER, UNCERTAIN
 from stereophd.pipeline.stream import covered, open_stream
 from stereophd.validated import NO_LENGTH
 
@@ -92,6 +95,16 @@ class FoundCameras:
             for camera in self.rig.cameras
         }  # fmt: skip
         return out
+
+    def with_motion_to_estimate(self, loaded: LoadedConfig) -> LoadedConfig:
+        """Return a configuration whose acceleration is to be estimated where no length is known, so that it is a guess.
+
+        That of `calibrate` itself describes the usual motion, and tracks are lost where objects turn more than that.
+        """
+        is_stated = getattr(loaded.config.motion, "acceleration_std", None) is not None
+        if self.has_scale or not is_stated or isinstance(loaded.config.filter, SingleSettings):
+            return loaded
+        return variant(loaded, [("no length is known", {"motion.acceleration_std": ESTIMATE})])
 
     def judged(self, problem: CalibrationProblem, outcome: Outcome) -> Outcome:
         """Return an outcome with the report of the search, and what is known too badly to be called determined."""
@@ -170,7 +183,14 @@ def with_found_cameras(
     multi_filter = pmb_filter(placed, rig.cameras)
     space = multi_filter.rig.packed[reference]
     expected = disparity_scale(space) / multi_filter.settings.birth.disparity_moments(space)[0]
-    placed = with_unit(placed, NO_LENGTH, rig.depth(reference) / expected)
+    # lengths in a unit that nobody knows are guesses: they yield to what the tracks show with these cameras
+    near, middle, far = np.quantile(rig.depths(reference), [0.01, 0.5, 0.99]).tolist()
+    placed, shown = with_unit(placed, NO_LENGTH, middle / expected), dict[str, Any]()
+    if placed.config.report.max_position_std is None:
+        shown["report.max_position_std"] = UNCERTAIN * middle
+    if getattr(getattr(placed.config.filter, "birth", None), "depth_range", None) is not None:
+        shown["filter.birth.depth_range"] = [NEARER * near, FARTHER * far]
+    placed = variant(placed, [("the depths of the objects", shown)])
     if not limit.begin("settings are compared with what the tracks show"):
         return placed, found
     contradicted = [
@@ -180,7 +200,6 @@ def with_found_cameras(
     ]
     if not contradicted:
         return placed, found
-    # lengths in a unit that nobody knows are guesses: they yield to what the tracks show with these cameras
     changes = {".".join(map(str, path)): value.data for path, value in contradicted}
     placed, _ = with_estimated_motion(variant(placed, [("what the tracks show", changes)]), log_path)
     return placed, replace(found, estimated=tuple(changes))

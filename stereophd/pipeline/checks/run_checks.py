@@ -409,7 +409,9 @@ def check_estimated_detectors(report: Mapping[str, Any] | None) -> Iterator[Find
         text = f"the estimated detectors still change after {report['passes']} runs of the filter"
         yield Finding("detector.estimate", "warning", text, cause="not_converged")
     for name, estimate in report["cameras"].items():
-        if report["noise_in_log"]:
+        if report["noise_in_log"] or not estimate.get(
+            "frames", 1
+        ):  # the log has nothing of this camera, which is a warning
             continue
         key, unit = ("sigma_px", " px") if "sigma_px" in estimate else ("box_noise", "")
         noise = " x ".join(f"{value:.3g}" for value in estimate[key]) + unit

@@ -17,7 +17,7 @@ from functools import cache
 import numpy as np
 
 from stereophd.core.arrays import Array
-from stereophd.pipeline.checks.log.sample import CameraSample
+from stereophd.pipeline.checks.log.sample import LEAST_DIFFERENCES, MOST_BY_CHANCE, VARIANCE_ERROR, CameraSample
 from stereophd.pipeline.detectors.mixture import BORDERS, NOISES, DistanceKind, Mixture, classes, unmix
 from stereophd.pipeline.detectors.statistics import BETWEEN_CAMERAS, NoisePrior
 
@@ -31,6 +31,9 @@ DISPLACEMENTS = DistanceKind(2, 0.02, 0.003, 0.03, 1.0)
 TURNS = np.geomspace(1e-4, 1e2, 90)
 USUAL_TURN, TURN_SPREAD, FEW_SPEEDS = 0.2, 1.5, 0.1
 PRIOR = -0.5 * (np.log(TURNS / USUAL_TURN) / TURN_SPREAD) ** 2
+# Frames of the steps of third differences; acceleration over speed, 1/s, which is known as little; and by how much
+# births are wider than that speed.
+SWERVES, USUAL_RATIO, WIDER = (1, 2, 4, 8, 16), 0.6, 2.0
 # Log-likelihood that the displacements of a camera may weigh: errors that last do not show in them.
 MOST_EVIDENCE = 15.0
 
@@ -46,19 +49,42 @@ def likelihoods_of_displacements(sample: CameraSample) -> Array:
     return _blurred(np.logaddexp(told - told.max(), -MOST_EVIDENCE), TURNS, BETWEEN_CAMERAS)
 
 
-def usual_turn(samples: Sequence[CameraSample], priors: Mapping[str, NoisePrior]) -> float:
-    """Return the speed across the line of sight over the depth, one component, 1/s: its posterior median.
+def usual_motion(samples: Sequence[CameraSample], priors: Mapping[str, NoisePrior]) -> tuple[float, float]:
+    """Return speed, 1/s, and white acceleration, 1/s^2, across the line of sight over the depth, of one component.
 
-    The noise is that of the cameras, to within the spread of its prior where there is one.
+    They are posterior medians. The noise is that of the cameras, to within the spread of its prior where there is one.
     """
-    told = PRIOR
+    noises, medians, usual = [], list[float](), USUAL_TURN
     for sample in samples:
         sigma, prior = float(sample.camera.detector.sigma.mean()), priors.get(sample.camera.name)
         spread = FEW_SPEEDS if prior is None else np.hypot(prior.spread, FEW_SPEEDS)
-        noise = -0.5 * (np.log(NOISES / sigma) / spread) ** 2
-        told = told + np.logaddexp.reduce(likelihoods_of_displacements(sample) + noise[:, None], axis=0)
-    summed = np.exp(told - told.max()).cumsum()
-    return float(TURNS[np.searchsorted(summed, 0.5 * summed[-1])])
+        noises.append(-0.5 * (np.log(NOISES / sigma) / spread) ** 2)
+    for likelihoods in (likelihoods_of_displacements, likelihoods_of_swerves):
+        told = -0.5 * (np.log(TURNS / usual) / TURN_SPREAD) ** 2
+        for sample, noise in zip(samples, noises, strict=True):
+            told = told + np.logaddexp.reduce(likelihoods(sample) + noise[:, None], axis=0)
+        summed = np.exp(told - told.max()).cumsum()
+        medians.append(float(TURNS[np.searchsorted(summed, 0.5 * summed[-1])]))
+        usual = USUAL_RATIO * medians[0]
+    return medians[0], medians[1]
+
+
+def likelihoods_of_swerves(sample: CameraSample) -> Array:
+    """Return the log-likelihood (noises, turns) of the noise of a camera and of the acceleration over the depth.
+
+    Third differences over steps of the time h, which a steady acceleration does not change, have the variance
+    20 s^2 + q h^3, with the noise s of a detection and the spectral density q of white acceleration.
+    """
+    told = np.zeros((len(NOISES), len(TURNS)))
+    for step in SWERVES if sample.linking[1] <= MOST_BY_CHANCE else ():
+        differences = sample.third_differences(step)
+        if len(differences) < LEAST_DIFFERENCES or not (shown := float(np.median(np.abs(differences)) / 0.6745)):
+            break
+        density = (TURNS * sample.camera.fx) ** 2
+        spread = 0.5 * np.log(20.0 * NOISES[:, None] ** 2 + density * (step * sample.interval_s) ** 3)
+        error = np.hypot(0.5 * VARIANCE_ERROR * np.sqrt(step / len(differences)), FEW_SPEEDS)
+        told -= 0.5 * ((np.log(shown) - spread) / error) ** 2
+    return _blurred(told, TURNS, BETWEEN_CAMERAS)
 
 
 def _displacements(sample: CameraSample, steps: int) -> tuple[float, Mixture]:

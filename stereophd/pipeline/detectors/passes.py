@@ -45,6 +45,7 @@ class _Settled:
         self.seen_by: dict[int, set[int]] = {}
         self.confirmed: set[int] = set()
         self._waiting: dict[int, dict[int, list[float]]] = {}
+        self._counts: dict[tuple[int, int], NDArray[np.float64]] = {}
 
     def labels(self) -> NDArray[np.int64]:
         """Return the labels that are confirmed and were seen by two cameras."""
@@ -60,8 +61,10 @@ class _Settled:
         waiting[1] += missed / (detected + missed)
         if detected > missed:
             for index, (hits, misses) in self._waiting.pop(label).items():
-                sums[index].detected += hits
-                sums[index].missed += misses
+                if (label, index) not in self._counts:
+                    self._counts[label, index] = np.zeros(2)
+                    sums[index].looks.append(self._counts[label, index])
+                self._counts[label, index] += hits, misses
 
     def keep(self, labels: Collection[int]) -> None:
         """Forget all labels but these."""
@@ -226,7 +229,11 @@ def estimate_detectors(
         if (prior := priors.get(camera.name)) is not None:
             estimate = best.estimates[camera.name]
             noise = prior.of(camera.detector) if estimate.confirmed or best.own_noise else prior.noise
-            estimate = replace(estimate, detector=prior.put(camera.detector, noise), noise=noise)
+            # the run had another probability of detection than its tracks show: that of the run before
+            apart = camera.detector.p_detect - estimate.detector.p_detect
+            error = float(np.hypot(estimate.p_detect_error, apart))
+            detector = prior.put(camera.detector, noise)
+            estimate = replace(estimate, detector=detector, noise=noise, p_detect_error=error)
             final[camera.name] = estimate.lasting(prior)
     report = {name: _report(estimate, priors[name]) for name, estimate in final.items()}
     found = {"passes": runs, "converged": runs < MOST_RUNS, "noise_in_log": best.own_noise, "cameras": report}

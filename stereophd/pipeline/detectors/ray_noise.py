@@ -144,11 +144,8 @@ def _drawn(rng: np.random.Generator, summed: Array) -> int:
 
 def are_compared(samples: Sequence[CameraSample]) -> bool:
     """Whether cameras can be compared: two at least have detections, and none moves."""
-    return _two_detect(samples) and all(sample.camera.pose.is_static for sample in samples)
-
-
-def _two_detect(samples: Sequence[CameraSample]) -> bool:
-    return sum(len(sample.pixels) > 0 for sample in samples) > 1
+    stand_still = all(sample.camera.pose.is_static for sample in samples)
+    return stand_still and sum(len(sample.pixels) > 0 for sample in samples) > 1
 
 
 def starting_detectors(
@@ -157,12 +154,13 @@ def starting_detectors(
     """Return cameras with detectors to begin a first tracking run with, and what is known of their noise by then.
 
     The detectors of the cameras of `estimated` names are those that are replaced. Where poses are not known or wrong
-    (not `are_placed`), each camera alone shows its noise, and what is false where one-camera tracks hold; so it does
-    where one moves. Where fewer than two have detections, the noise is as the detectors have it.
+    (not `are_placed`), and where no cameras can be compared, each camera alone shows its noise, and what is false where
+    one-camera tracks hold. Without detections, and of one camera, the noise is as the detectors have it.
     """
     noise, spreads = np.array([camera.detector.sigma for camera in cameras]), np.full(len(cameras), NOISE_SPREAD)
-    if _two_detect(samples):
-        noise, spreads = noise_from_rays(samples, are_placed and are_compared(samples))
+    are_placed &= are_compared(samples)
+    if len(samples) > 1 and any(len(sample.pixels) for sample in samples):
+        noise, spreads = noise_from_rays(samples, are_placed)
     used, priors = [], {}
     for k, camera in enumerate(cameras):
         if camera.name in estimated:

@@ -20,7 +20,9 @@ of the residuals, 2 sum(w R / S) of log(sigma).
 
 Probability of detection. sum(D) / sum(D + M), with D the probability that a track in view made a detection of the
 frame, for which it competes with all others, and M that it exists and made none, after a prior of five frames with 0.9.
-Frames count up to the last detection of the track only: what comes after is the object's end, not misses.
+Frames count up to the last detection of the track only: what comes after is the object's end, not misses. The error is
+that of single frames, or of whole tracks where these differ by more, as where some lose detections to others (clusters;
+K.-Y. Liang and S. L. Zeger, Biometrika 73, 1986).
 
 Clutter. Detections of a camera that belong to no confirmed track (before its confirmation included), a frame. To a
 settled one they belong with the probability D, because what is false and near it is not all its own; the variance of
@@ -82,9 +84,7 @@ class DetectorSums:
     weights: Array = field(default_factory=lambda: np.zeros(1))
     shares: Array = field(default_factory=lambda: np.zeros(1))
     pairs: float = 0.0  # Expected number of detections behind them
-    # `detected`, `missed`: Sums of D and M.
-    detected: float = 0.0
-    missed: float = 0.0
+    looks: list[Array] = field(default_factory=list)  # Sums (2,) of D and M of each track
     # `frames`, `detections`, `attributed`: Frames, detections, and expected number of those of confirmed tracks.
     frames: int = 0
     detections: int = 0
@@ -315,9 +315,12 @@ def estimate_detector(sums: DetectorSums, present: Detector, prior: NoisePrior) 
             error = noise * np.sqrt(np.diag(np.linalg.inv(known + np.diag(told))))
         else:
             ratio, confirmed = float(np.exp(measured.mean())), False
-    in_view = sums.detected + sums.missed
-    p_detect = (sums.detected + USUAL_P_DETECT * PRIOR_FRAMES) / (in_view + PRIOR_FRAMES)
-    p_error = float(np.sqrt(p_detect * (1.0 - p_detect) / (in_view + PRIOR_FRAMES)))
+    looks = np.array(sums.looks).reshape(-1, 2)
+    in_view = float(looks.sum())
+    count = in_view + PRIOR_FRAMES
+    p_detect = (float(looks[:, 0].sum()) + USUAL_P_DETECT * PRIOR_FRAMES) / count
+    apart = float(((looks @ [1.0 - p_detect, -p_detect]) ** 2).sum())
+    p_error = float(np.sqrt(max(p_detect * (1.0 - p_detect) * count, apart)) / count)
     clutter, clutter_error = present.clutter_per_frame, None
     if sums.frames > 0:
         frames = sums.frames * max(sums.view, LEAST_VIEW)

@@ -5,8 +5,9 @@ Kirubarajan, "Estimation with Applications to Tracking and Navigation", 2001, se
 Real objects turn in short manoeuvres, which a log of mostly steady flight outvotes, and a track that does not follow
 a manoeuvre costs more than one that settles late. Short windows of the log are therefore a sample of a population of
 accelerations, whose distribution is that of greatest likelihood (N. Laird, "Nonparametric maximum likelihood estimation
-of a mixing distribution", JASA 73, 1978). The value is large enough for nearly all of it. Where the acceleration does
-not vary, the population is one value, and chance in single windows moves it little.
+of a mixing distribution", JASA 73, 1978). Where that is more probable than one value, for so many shares (G. Schwarz,
+Annals of Statistics 6, 1978), the value is large enough for nearly all of it. Else it is the top of the parabola
+through the likelihoods of the best values, whose curvature gives the standard error.
 """
 
 from collections.abc import Sequence
@@ -24,6 +25,7 @@ from stereophd.core.motion.settings import ESTIMATE
 from stereophd.core.single.settings import SingleSettings
 from stereophd.errors import InputError
 from stereophd.pipeline.build import build_labelled_filter
+from stereophd.pipeline.detectors.displacements import USUAL_RATIO, WIDER
 from stereophd.pipeline.detectors.passes import stretches
 from stereophd.pipeline.initial.template import rounded
 from stereophd.pipeline.stream import open_stream
@@ -38,8 +40,6 @@ LEAST_GAIN = 2.0
 # Events of a window, the share of the population whose manoeuvres may be left out, and the steps in which its
 # distribution is found.
 WINDOW, LEFT_OUT, STEPS = 25, 0.02, 500
-# Acceleration to start from over the spread of the velocity, 1/s.
-USUAL_RATIO = 0.3
 
 
 @dataclass(frozen=True)
@@ -48,26 +48,34 @@ class AccelerationEstimate:
 
     value: float  # `motion.acceleration_std`, length/s^2
     usual: float  # The value of greatest likelihood over all events
+    error: float | None  # Standard error of the logarithm of that; None where the likelihood has no top
     tried: dict[float, float]  # Log-likelihood of every value, less that of `usual`
     events: int  # Events that the filter ran over for each value
 
     def report(self) -> dict[str, Any]:
         """Return the entry of ``report.json``."""
         tried = [{"acceleration_std": a, "log_likelihood": one} for a, one in sorted(self.tried.items())]
-        return {"acceleration_std": self.value, "most_likely": self.usual, "events": self.events, "tried": tried}
+        return {
+            "acceleration_std": self.value, "most_likely": self.usual, "relative_standard_error": self.error,
+            "events": self.events, "tried": tried,
+        }  # fmt: skip
 
 
-def estimate_acceleration(loaded: LoadedConfig, parts: Sequence[Sequence[Event]], start: float) -> AccelerationEstimate:
+def estimate_acceleration(
+    loaded: LoadedConfig, parts: Sequence[Sequence[Event]], start: float, cameras: tuple[Camera, ...] | None = None
+) -> AccelerationEstimate:
     """Return the acceleration of the objects, length/s^2, from stretches of a log and a starting value.
 
-    The configuration has a filter for many objects; its own acceleration does not count.
+    The configuration has a filter for many objects; its own acceleration does not count, nor do its cameras if others
+    are given.
     """
     found: dict[float, Array] = {}
 
     def likelihoods(value: float) -> Array:
         """Return the log-likelihood of every event."""
         if value not in found:
-            found[value] = log_likelihoods(variant(loaded, [("estimate", {"motion.acceleration_std": value})]), parts)
+            stated = variant(loaded, [("estimate", {"motion.acceleration_std": value})])
+            found[value] = log_likelihoods(stated, parts, cameras)
         return found[value]
 
     def climb(value: float, factor: float, least: float) -> float:
@@ -91,19 +99,27 @@ def estimate_acceleration(loaded: LoadedConfig, parts: Sequence[Sequence[Event]]
         if likelihoods(rounded(usual * factor)).sum() > likelihoods(usual).sum() + LEAST_GAIN:
             usual = rounded(usual * factor)
             break
+    near, best, error = sorted(found), usual, None
+    if 0 < (place := near.index(usual)) < len(near) - 1:
+        apart = np.log(near[place - 1 : place + 2]) - np.log(usual)
+        bend, slope, _ = np.polyfit(apart, [likelihoods(value).sum() for value in near[place - 1 : place + 2]], 2)
+        if bend < 0.0 and apart[0] < (top := -0.5 * slope / bend) < apart[2]:
+            error = float((-2.0 * bend) ** -0.5)
+            best = max(usual, rounded(usual * np.exp(top)), key=lambda value: float(likelihoods(value).sum()))
     for _ in range(MOST_STEPS):  # until it lies within the values tried, with its neighbours among them
-        value = _of_windows(found)
+        grid = {value: one for value, one in found.items() if value != best or value == usual}
+        value = _of_windows(grid, found[best])
+        if value is None or value <= usual:
+            break
         missing = {rounded(value * FACTOR**power) for power in (-0.5, 0.5)} - found.keys()
         if value == max(found):
             missing = {rounded(value * FACTOR)}
-        if not missing or value <= usual:
+        if not missing:
             break
         for neighbour in missing:
             likelihoods(neighbour)
-    value = max(usual, _of_windows(found))
-    best = found[usual].sum()
-    tried = {a: round(float(one.sum() - best), 2) for a, one in found.items()}
-    return AccelerationEstimate(value, usual, tried, sum(map(len, parts)))
+    tried = {a: round(float((one - found[best]).sum()), 2) for a, one in found.items()}
+    return AccelerationEstimate(max(best, value or 0.0), best, error, tried, sum(map(len, parts)))
 
 
 def log_likelihoods(
@@ -123,26 +139,34 @@ def log_likelihoods(
     return np.array(found)
 
 
-def _of_windows(found: dict[float, Array]) -> float:
-    """Return the least value that is enough for all but a few of the population that windows of the log show."""
+def _of_windows(found: dict[float, Array], best: Array) -> float | None:
+    """Return the least value that is enough for all but a few of the population that windows of the log show.
+
+    None where the population is not more probable, for its shares, than one value, of `best` log-likelihoods (events,).
+    """
     values = sorted(found)
-    table = np.stack([found[value] for value in values])
+    table = np.stack([found[value] - best for value in values])
     count = max(1, table.shape[1] // WINDOW)
     windows = np.stack([part.sum(axis=1) for part in np.array_split(table, count, axis=1)], axis=1)
-    likelihood = np.exp(windows - windows.max(axis=0))
+    likelihood = np.exp(windows - (most := windows.max(axis=0)))
     shares = np.full(len(values), 1.0 / len(values))
     for _ in range(STEPS):
         joint = shares[:, None] * likelihood
         shares = (joint / joint.sum(axis=0)).mean(axis=1)
+    if (np.log(shares @ likelihood) + most).sum() <= 0.5 * (len(values) - 1) * np.log(count):
+        return None
     left_out = min(0.5, max(LEFT_OUT, 1.5 / count))  # whatever a single window shows
     return values[int((np.cumsum(shares) >= 1.0 - left_out).argmax())]
 
 
-def with_estimated_motion(loaded: LoadedConfig, log_path: Path | str) -> tuple[LoadedConfig, dict[str, Any] | None]:
+def with_estimated_motion(
+    loaded: LoadedConfig, log_path: Path | str, cameras: tuple[Camera, ...] | None = None
+) -> tuple[LoadedConfig, dict[str, Any] | None]:
     """Return a configuration with the acceleration that the log shows, and what to report of it.
 
-    Without ``motion.acceleration_std: estimate`` the configuration comes back as it is. Raises InputError if the filter
-    is not one for many objects, or the log has too few frames.
+    Calibrated cameras can take the place of those of the configuration, which comes back as it is without
+    ``motion.acceleration_std: estimate``. Raises InputError if the filter is not one for many objects, or the log has
+    too few frames.
     """
     config = loaded.config
     if getattr(config.motion, "acceleration_std", None) != ESTIMATE:
@@ -152,14 +176,14 @@ def with_estimated_motion(loaded: LoadedConfig, log_path: Path | str) -> tuple[L
             f"{loaded.path}: motion.acceleration_std: expected a number where filter.kind is not phd or pmb, found "
             f"{ESTIMATE}"
         )
-    parts = [list(part) for part in stretches(open_stream(config, loaded.build_cameras(), log_path))]
+    parts = [list(part) for part in stretches(open_stream(config, cameras or loaded.build_cameras(), log_path))]
     if sum(map(len, parts)) < LEAST_EVENTS:
         raise InputError(
             f"{log_path}: expected at least {LEAST_EVENTS} frames to estimate motion.acceleration_std from, found "
             f"{sum(map(len, parts))}; state a number"
         )
-    start = USUAL_RATIO * float(np.max(config.filter.birth.velocity_std))
-    estimate = estimate_acceleration(loaded, parts, start)
+    start = USUAL_RATIO * float(np.max(config.filter.birth.velocity_std)) / WIDER
+    estimate = estimate_acceleration(loaded, parts, start, cameras)
     LOGGER.info("%s: motion.acceleration_std estimated: %g", log_path, estimate.value)
     stated = variant(loaded, [("estimated from the log", {"motion.acceleration_std": estimate.value})])
     return stated, estimate.report()

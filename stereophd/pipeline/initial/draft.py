@@ -26,7 +26,7 @@ from stereophd.pipeline.checks.log.log_checks import check_files
 from stereophd.pipeline.checks.log.sample import CameraSample, sample_log
 from stereophd.pipeline.checks.run_checks import check_estimated_detectors
 from stereophd.pipeline.checks.settings import expected_depths, measure_scene
-from stereophd.pipeline.detectors.displacements import usual_turn
+from stereophd.pipeline.detectors.displacements import WIDER, usual_motion
 from stereophd.pipeline.detectors.passes import MOST_BOXES, estimate_detectors, stretches
 from stereophd.pipeline.detectors.ray_noise import are_compared, starting_detectors
 from stereophd.pipeline.detectors.statistics import NoisePrior
@@ -35,7 +35,7 @@ from stereophd.pipeline.initial.measured import SceneFigures, measure_with_filte
 from stereophd.pipeline.initial.template import Choice, Draft, rounded
 from stereophd.pipeline.stream import EventStream, open_log, open_stream
 from stereophd.pipeline.tracking.tracking_run import with_detectors
-from stereophd.wording import PROGRESS, counted, number
+from stereophd.wording import PROGRESS, counted, number, percent
 
 # Score from which rays of two cameras meet. It is lower than in a check, because the filter runs afterwards.
 MEETING_SCORE = 2.5
@@ -76,8 +76,10 @@ def draft_from_log(draft: Draft, log_path: Path | str) -> Draft:
     bodies = _with_bodies(draft, samples, unknown, log_path) if only_boxes and is_placed else None
     if bodies is not None:
         return bodies
-    cause = "poses or focal lengths are unknown"
-    if is_placed:
+    cause, seeing = "poses or focal lengths are unknown", [one.camera.name for one in samples if len(one.pixels)]
+    if is_placed and len(seeing) < 2:
+        cause = f"only {seeing[0]} has detections"
+    elif is_placed:
         started, priors = starting_detectors(cameras, unknown, samples)
         placed = [sample.with_camera(camera) for sample, camera in zip(samples, started, strict=True)]
         doubt = _mistake([one.with_measured_noise() if one.camera.name in unknown else one for one in placed])
@@ -91,7 +93,7 @@ def draft_from_log(draft: Draft, log_path: Path | str) -> Draft:
         draft, cause = replace(draft, findings=(doubt,)), doubt.message
     # rays and tracks of wrong cameras say nothing of the noise either
     cameras, priors = starting_detectors(cameras, unknown, samples, are_placed=False)
-    if are_compared(samples):
+    if len(samples) > 1:
         why = f"detector: the noise about one-camera tracks and in displacements, because rays show none: {cause}"
         draft = _with_note(draft, unknown, why)
     samples = [sample.with_camera(camera) for sample, camera in zip(samples, cameras, strict=True)]
@@ -107,7 +109,7 @@ def _with_tracks(
 
     They are if the log is more probable, 1,000 to 1, with the same settings where each camera has objects of its own,
     both at the acceleration that is enough for every turn and at the most probable one.
-    One camera that alone has detections cannot be wrong about the others, and cameras that move are not calibrated.
+    Cameras that move are not calibrated, and so not wrong either.
     """
     rough, name, is_compared = _rough(draft, samples, priors), str(log_path), are_compared(samples)
     if rough is None:
@@ -312,13 +314,14 @@ def _rough(draft: Draft, samples: list[CameraSample], priors: Mapping[str, Noise
             "filter.birth.depth_range": Choice([rounded(0.5 * near), rounded(2.0 * far)], why),
             "evaluation.cutoff": Choice(rounded(CUTOFF * middle, 1), "a tenth of the middle depth"),
         }
-    spread = middle * usual_turn(samples, priors)
+    spread, acceleration = (middle * one for one in usual_motion(samples, priors))
     fastest, tracks = SPREADS * spread, "from displacements between frames at these depths"
     if scene is not None and scene.speed is not None:
         (spread, fastest), tracks = scene.speed[:2].tolist(), "from one-camera tracks at these depths"
-    choices["filter.birth.velocity_std"] = Choice(rounded(max(2.0 * spread, 1e-3 * middle)), tracks)
+    choices["filter.birth.velocity_std"] = Choice(rounded(max(WIDER * spread, 1e-3 * middle)), tracks)
     choices["motion.max_speed"] = Choice(rounded(max(5.0 * fastest, 0.02 * middle)), tracks)
-    choices["motion.acceleration_std"] = Choice(rounded(max(0.5 * spread, 1e-4 * middle)), tracks)
+    how = "from how far one-camera tracks swerve at these depths"
+    choices["motion.acceleration_std"] = Choice(rounded(max(acceleration, 1e-4 * middle)), how)
     return choices
 
 
@@ -361,6 +364,7 @@ def _with_acceleration(draft: Draft, parts: list[list[Event]], name: str, step: 
     start = float(draft.usual_acceleration or draft.choices["motion.acceleration_std"].value)
     found = estimate_acceleration(loaded_draft(draft, name), parts, start)
     why = f"from the likelihood of {len(found.tried)} values over {found.events} events"
+    why += f", to {percent(found.error)}" if found.error else ""
     if found.value > found.usual:
         why += f" ({found.usual:g} for most of them, more where objects turn)"
     chosen = Choice(found.value, f"{why}; {draft.unit}/s^2")

@@ -46,7 +46,7 @@ from stereophd.core.calibration.time_limit import within
 from stereophd.core.calibration.unknowns.held import FOCAL_STD, EnlargedSet, enlarge
 from stereophd.core.calibration.unknowns.observability import posed_cameras
 from stereophd.core.calibration.unknowns.parameters import ParameterSet
-from stereophd.core.calibration.unknowns.scale import ScaleMeasurement, scale_is_free
+from stereophd.core.calibration.unknowns.scale import ScaleMeasurement, log_scale, scale_is_free
 from stereophd.core.numerics.covariance_factors import covariance_factor
 from stereophd.core.numerics.random_streams import NOISE_SEED
 from stereophd.wording import percent
@@ -135,7 +135,7 @@ def calibrated(task: Task, starts: list[Start], choices: Choices) -> Calibrated:
     remarks += remark
     believed = believe(task, fit, choices)
     task, answer = believed.task, believed.answer
-    remarks += (*motion_remarks(answer, choices.known), *believed.remarks)
+    remarks += believed.remarks
     widening = 1.0
     if not choices.is_sampled:
         answer, widening, remark = widened(task, answer, believed.doubtful)
@@ -156,6 +156,7 @@ def calibrated(task: Task, starts: list[Start], choices: Choices) -> Calibrated:
         by = known.kind if known is not None else "baseline" if task.scale is not None else ""
         doubt = f"with the known {by} {against}" if by else against
     history, moves = history_of(task, answer, fit), track_moves(problem_of(task, fit), fit.adjustment)
+    remarks += motion_remarks(answer, log_scale(task.parameters, task.reference, values)[0], known)
     remarks += (*statement_remarks(believed, bool(doubt), widening), *prior_remarks(task, values))
     if not choices.is_sampled:  # particles need no Gaussian
         remarks += spread_remarks(moves, fit.adjustment.covariance)
@@ -375,14 +376,18 @@ def spread_remarks(moves: TrackMoves, covariance: Array) -> tuple[Remark, ...]:
     return (Remark("spread", text, is_reservation=True),)
 
 
-def motion_remarks(answer: Fit, known: ScaleMeasurement | None) -> tuple[Remark, ...]:
-    """Return a remark if the noise of the motion is far from the stated one; it proposes no length that is `known`."""
+def motion_remarks(answer: Fit, scale: float, known: ScaleMeasurement | None) -> tuple[Remark, ...]:
+    """Return a remark if the noise of the motion is far from the stated one; it proposes no length that is `known`.
+
+    The noise is that in a scene of this logarithm of its `scale`.
+    """
     factor = float(np.exp(np.log(answer.motion_factors).mean()))
     if abs(np.log(factor)) <= np.log(MOTION_FACTOR):
         return ()
+    value = float(np.exp(np.log(answer.knots.noise_std).mean() + scale))
     text = (
-        f"the objects accelerate {factor:.2g} times as much as motion.acceleration_std states; what they show was "
-        "used: motion.acceleration_std is wrong, or objects move together"
+        f"the objects accelerate by {value:.2g} length/s^2, {factor * np.exp(scale):.2g} times as much as "
+        "motion.acceleration_std states; what they show was used: state it, unless objects move together"
     )
     if known is None or known.kind != "length":
         text += " (corners of a board: state their known distance, calibration.scale.kind: length)"

@@ -70,10 +70,10 @@ class FoundRig:
     pairs: tuple[Link, ...]  # those that join the cameras, each to the reference or to one of those before it
     doubts: tuple[str, ...]  # why the cameras may be wrong; empty if they are believed
 
-    def depth(self, reference: int) -> float:
-        """Return the median depth of the objects before the reference, in units of the first baseline."""
+    def depths(self, reference: int) -> Array:
+        """Return depths (n,) of the objects before the reference, in units of the first baseline."""
         pair = self.pairs[0]
-        return float(np.median(pair.best.depths[:, pair.cameras.index(reference)]))
+        return np.asarray(pair.best.depths[:, pair.cameras.index(reference)])
 
 
 @dataclass(frozen=True)

@@ -252,9 +252,7 @@ class CameraSample:
         least noise is three standard errors less; the largest is all that one step shows, and three more: swerves over
         more frames add more, so that nothing else is an upper bound.
         """
-        times = self.times[self.frame_of]
-        even = [track for track in self.tracks if np.ptp(np.diff(times[track])) < 0.2 * self.interval_s]
-        once, twice = (self._third_differences(even, step) for step in (1, 2))
+        once, twice = (self.third_differences(step) for step in (1, 2))
         if min(len(once), len(twice)) < LEAST_DIFFERENCES or np.median(np.abs(once)) == 0.0:
             return None
         # 1 + 9 + 9 + 1 = 20 times the variance of one detection
@@ -265,12 +263,13 @@ class CameraSample:
         noise, least, most = np.sqrt(np.maximum([value, value - 3.0 * error, largest], 0.0) / 7.0).tolist()
         return noise, least, most
 
-    def _third_differences(self, tracks: Iterable[Integers], step: int) -> Array:
+    def third_differences(self, step: int) -> Array:
         """Return third differences (n,), px, of one-camera tracks with even times, over steps of so many frames."""
-        sigma = self.camera.detector.sigma
+        sigma, times = self.camera.detector.sigma, self.times[self.frame_of]
         pixels = self.pixels / (sigma / sigma.mean())
+        even = [track for track in self.tracks if np.ptp(np.diff(times[track])) < 0.2 * self.interval_s]
         differences = [
-            np.diff(pixels[track[first::step]], n=3, axis=0).ravel() for track in tracks for first in range(step)
+            np.diff(pixels[track[first::step]], n=3, axis=0).ravel() for track in even for first in range(step)
         ]
         return np.concatenate(differences) if differences else np.empty(0)
 

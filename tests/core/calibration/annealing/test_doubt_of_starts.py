@@ -58,7 +58,9 @@ def most_starts(settings: AnnealedSettings, parameters: SimpleNamespace) -> int:
 @pytest.mark.parametrize(("kind", "is_proposed"), [(None, True), ("speed", True), ("length", False)])
 def test_a_length_is_not_proposed_where_one_is_known(kind: str | None, is_proposed: bool) -> None:
     known = None if kind is None else ScaleMeasurement(kind, 1.0, 0.1)
-    (remark,) = motion_remarks(cast("Fit", SimpleNamespace(motion_factors=np.full(3, 0.05))), known)
+    answer = SimpleNamespace(motion_factors=np.full(3, 0.05), knots=SimpleNamespace(noise_std=np.full(3, 0.1)))
+    (remark,) = motion_remarks(cast("Fit", answer), np.log(1.3), known)
+    assert "by 0.13 length/s^2, 0.065 times as much" in remark.text
     assert ("scale.kind: length" in remark.text) == is_proposed
 
 
