@@ -146,7 +146,7 @@ def _all_starts(run: CalibrationRun, task: Task, may_refuse: bool = False, kept:
     jobs, results_of = 1, cast("Callable[..., Iterator[Any]]", map)
     with ExitStack() as held:
         while not is_done():
-            if jobs == 1 < len(starts) and (jobs := min(run.jobs, count - len(starts))) > 1:
+            if jobs == 1 and len(starts) > 1 and (jobs := min(run.jobs, count - len(starts))) > 1:
                 results_of = held.enter_context(worker_processes(jobs, PROGRESS.debug))
             for start in _next_starts(task, starts, values, seeds, results_of, jobs):
                 starts[:] = compared(task, [*starts, start])

@@ -14,6 +14,7 @@ fit                    detections of a trajectory             holds             
 ``adjusted_to``        those given                            what the fit given held     fixed   the others below
 ``rescaled``           as the fit given                       as the fit given            fixed   ``at_known_scale``
 ``readjusted``         as the fit given                       nothing, or all values      fixed   ``method.believe``
+``with_freed``         as the fit given                       all values                  floor   ``method.believe``
 ``marginal_fit``       as the fit given                       nothing                     fixed   ``method.believe``
 ``with_lengths``       as the fit given                       nothing                     fixed   ``method.calibrated``
 ``with_control``       as the fit given                       nothing                     floor   ``method.calibrated``

@@ -268,10 +268,8 @@ def believe(task: Task, fit: Fit, choices: Choices) -> Believed:
             task, noise = task.with_noise(factors, shared), noise * factors
             from_above |= hides
         if answer.adjustment.converged and not hides.any():
-            # the search goes on from the optimum, as the joint one of objects that manoeuvre is biased. Detections that
-            # have been chosen are fitted already, but with independent errors of the noise before
-            is_fitted = not (is_new or shared.any())
-            again = marginal_fit(task, chosen if is_fitted else readjusted(task, chosen, still=True))
+            # the search goes on from the marginal optimum, with the noise of the task: the joint one is biased
+            again = marginal_fit(task, readjusted(task, chosen, still=True))
             if is_new or again.adjustment.converged:
                 answer = again
         fit = answer
@@ -355,13 +353,15 @@ def is_shown(suspicion: Suspicion, parameters: ParameterSet) -> bool:
 def with_freed(task: Task, fit: Fit, enlarged: EnlargedSet, suspicion: Suspicion) -> tuple[Task, Fit]:
     """Return the task with what was doubted among its unknowns, and the fit, which has it as it was stated.
 
-    What nobody has measured with it is unknown, too. The search for the marginal optimum begins there. The joint
-    optimum of all that runs away where objects manoeuvre, to a lens from which that search does not come back.
+    What nobody has measured with it is unknown, too. The trajectories follow it with the noise of the motion that was
+    found, and the search for the marginal optimum begins there. The joint optimum of all that runs away where objects
+    manoeuvre, to a lens from which that search does not come back.
     """
     places = enlarged.unmeasured_with(suspicion.group)
     task = replace(task, parameters=enlarged.freed(task.parameters, places))
-    values, prior = np.append(fit.adjustment.values, np.zeros(len(places))), np.diag(task.parameters.prior_std**2)
-    return task, replace(fit, adjustment=replace(fit.adjustment, values=values, covariance=prior))
+    values = np.append(fit.adjustment.values, np.zeros(len(places)))
+    begin = replace(fit, adjustment=replace(fit.adjustment, values=values))
+    return task, readjusted(task, begin, still=True)
 
 
 def spread_remarks(moves: TrackMoves, covariance: Array) -> tuple[Remark, ...]:
