@@ -1160,10 +1160,13 @@ def test_frames_that_repeat_the_one_before_are_named() -> None:
     found = {one.camera: one for one in check_files(sample_log(frames, CAMERAS)) if one.cause == "frames_repeated"}
     assert set(found) == {"left"}
     assert found["left"].value == pytest.approx(0.175, abs=0.01)
-    # whole pixels, or a scene at rest, agree by chance
+    # whole pixels, of an image in another size too, or a scene at rest, agree by chance
     whole = [replace(frame, pixels=np.round(frame.pixels)) for frame in frames]
+    path = np.array([100.0, 200.0]) + np.arange(400)[:, None] * [1.0, 0.5]
+    path = np.round((path + np.random.default_rng(0).normal(0.0, 0.3, path.shape)) * 640 / 1333) * 1333 / 640
+    slow = [Frame(k / 30.0, 0, k, pixel[None]) for k, pixel in enumerate(path)]
     still = [replace(frame, pixels=frames[frame.camera].pixels) for frame in frames]
-    for others in (whole, still, _frames(CAMERAS, count=80)):
+    for others in (whole, slow, still, _frames(CAMERAS, count=80)):
         assert not any(one.cause == "frames_repeated" for one in check_files(sample_log(others, CAMERAS)))
 
 

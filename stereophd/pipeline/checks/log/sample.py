@@ -30,7 +30,8 @@ LEAST_CONTINUED_FRAMES, LEAST_CONTINUED = 8, 20
 # Places in an image are distinguished to this many pixels; one lasts if it detects in so many frames and in this share
 # of them, unless this share of all detections is at such places: then the scene rests.
 PLACE_PX, LEAST_PLACE_FRAMES, LEAST_PLACE_SHARE, MOST_RESTING = 1.0, 60, 0.1, 0.5
-# Different fractions of pixels, in parts of all detections, from which no two agree to the last digit by chance.
+# Different distances of neighbours along u, in parts of all detections, from which no two agree to the last digit by
+# chance; pixels on a grid, of an image in another size too, have few.
 LEAST_FINE = 0.2
 # Standard deviations within which two detections of a frame may be of one object.
 CLOSE = 6.0
@@ -220,7 +221,7 @@ class CameraSample:
         alike = (before == own) & (self.pixels == self.pixels[numbers - own]).all(axis=1)
         repeated = (np.bincount(self.frame_of, alike, len(counts)) == counts) & (counts > 0)
         fresh = np.unique(self.pixels[~repeated[self.frame_of], 0])
-        is_fine = len(np.unique(fresh % 1.0)) >= LEAST_FINE * len(self.pixels)
+        is_fine = len(np.unique(np.diff(fresh).round(9))) >= LEAST_FINE * len(self.pixels)
         return float(repeated.sum() / len(counts)) if is_fine and len(counts) else 0.0
 
     @property
