@@ -89,13 +89,16 @@ class PmbFilter(DisparityFilter):
         """Compile the test for pairs of tracks that are paired crosswise."""
         self.swap_test.compile()
 
+    def peak_births(self, undetected: Undetected | None, event: Event) -> float:
+        """See `DisparityFilter`: the peak of the camera before the event."""
+        return 0.0 if undetected is None else float(undetected.peaks[event.camera])
+
     def update(self, state: FilterState, prediction: Prediction, event: Event) -> tuple[FilterState, Info]:
         """Update with the detections of an event (Williams 2015, section IV), then reduction; no tracks are swapped."""
-        peak = 0.0 if state.undetected is None else float(state.undetected.peaks[event.camera])
         reduced, *updated = _update(
             prediction.mixture, prediction.moved, *self.detections(event),
-            self.event_numbers(state.time_s, event, state.next_label), (prediction.births, prediction.burst), peak,
-            self.reduction, self.claims,
+            self.event_numbers(state.time_s, event, state.next_label), (prediction.births, prediction.burst),
+            self.peak_births(state.undetected, event), self.reduction, self.claims,
         )  # fmt: skip
         counters = state.next_label + len(event.points), state.next_track
         return self._after(state, event, reduced, updated, counters, prediction.undetected, prediction.burst)

@@ -79,6 +79,23 @@ def test_a_batch_is_one_filter_for_each_hypothesis(
     assert state.next_label == states[0].next_label
 
 
+@pytest.mark.parametrize("kind", ["phd", "pmb"])
+def test_a_batch_prunes_as_the_filter_does_where_cameras_take_frames_at_one_time(
+    parameters: ParameterSet, kind: str
+) -> None:
+    events = make_events(parameters.cameras, 12)
+    wrapped = make_template(parameters.cameras, kind)
+    template = (PmbFilter if kind == "pmb" else PhdFilter)(wrapped.rig, wrapped.motion, wrapped.sets, wrapped.settings)  # type: ignore[arg-type]
+    spaces = hypothesis_spaces(parameters, np.zeros((1, 6)), template.rig)
+    batch = FilterBatch(template)
+    one, state = template.init(), batch.init(1)
+    for event in events:
+        state, log_likelihoods = batch.step(state, event, spaces)
+        one, info = template.update(one, template.predict(one, event), event)
+        np.testing.assert_allclose(log_likelihoods[0], info.log_likelihood, rtol=1e-8)
+        np.testing.assert_array_equal(state.of(0).labels, one.mixture.labels)
+
+
 def test_a_corner_of_the_view_is_looked_at_again(parameters: ParameterSet) -> None:
     # components of the left camera, their depth hardly known, of which the right one sees tails of many sizes
     event = make_events(parameters.cameras, 2)[1]
