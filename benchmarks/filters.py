@@ -86,7 +86,8 @@ SCENES = {
     ],
 }
 # Weights of the PHD filter fall faster than existence: only the PMB filter can release an object at 0.1.
-PMB = ("filter.kind=pmb", "filter.extraction.release=0.1")
+# `filter.prune_weight` of the configuration is one of intensities.
+PMB = ("filter.kind=pmb", "filter.prune_weight=1e-3", "filter.extraction.release=0.1")
 FILTERS = {
     "PHD": [],
     "PMB": [*PMB],

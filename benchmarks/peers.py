@@ -48,7 +48,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     found = []
     with tempfile.TemporaryDirectory() as name:
         for seed in options.seeds:
-            loaded = load_config(PAPER_CONFIG, ["filter.kind=pmb"], seed, options.cameras)
+            loaded = load_config(PAPER_CONFIG, ["filter.kind=pmb", "filter.prune_weight=1e-3"], seed, options.cameras)
             log, truth = options.log, options.truth
             if log is None:
                 folder = Path(name) / str(seed)

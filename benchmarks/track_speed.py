@@ -62,7 +62,7 @@ class Case:
 CASES = (
     Case("PHD, 256 samples", ("filter.kind=phd", "moments.method=qmc", "moments.samples=256"), 1.0, 4.0),
     # the paper's scene has two events a second, which may cost 0.5 ms together
-    Case("PMB", ("filter.kind=pmb",), 0.25, None),
+    Case("PMB", ("filter.kind=pmb", "filter.prune_weight=1e-3"), 0.25, None),
 )
 # Largest difference, in standard deviations, of means that NumPy and the kernels may come to.
 AGREEMENT_SIGMAS = 1e-6

@@ -193,10 +193,6 @@ class DisparityFilter(ABC):
         remaining = self._remaining_shares[event.camera]
         return expected_births(undetected or self._at_start[1], self._birth_rates, remaining, numbers, 0.0)
 
-    def peak_births(self, undetected: Undetected | None, event: Event) -> float:
-        """Births for which an event is pruned where its own are fewer: none unless a filter has its own rule."""
-        return 0.0
-
     def extract(self, state: FilterState) -> tuple[FilterState, Estimates]:
         """Report the objects of a state, in the world at the state's time."""
         mixture = state.mixture

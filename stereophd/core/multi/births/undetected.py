@@ -52,14 +52,11 @@ class Undetected(NamedTuple):
     # (c,): Share of the objects in view of a camera at the start that the others left; 0 once the camera has had a
     # frame.
     initial_share: Array
-    # (c,): Largest expected number in the view of each camera at an event since its own last frame; 0 if there was
-    # none.
-    peaks: Array
 
 
 def all_undetected(cameras: int) -> Undetected:
     """Return what so many cameras have not detected before the first event."""
-    return Undetected(np.zeros(cameras), np.ones(cameras), np.zeros(cameras))
+    return Undetected(np.zeros(cameras), np.ones(cameras))
 
 
 def birth_rates(prior: BirthPrior) -> tuple[float, float, float]:
@@ -81,8 +78,8 @@ def expected_births(
     """
     per_s, initial, max_per_frame = rates
     camera, n_detections, p_detect, clutter = numbers.camera, numbers.n_detections, numbers.p_detect, numbers.clutter
-    after = Undetected(before.counts + per_s * numbers.elapsed, before.initial_share.copy(), before.peaks.copy())
-    counts, share, peaks = after
+    after = Undetected(before.counts + per_s * numbers.elapsed, before.initial_share.copy())
+    counts, share = after
     if n_detections - known > max_per_frame:
         return 0.0, after, math.ceil(n_detections - known)
     if math.isnan(initial):
@@ -96,10 +93,8 @@ def expected_births(
     counts[camera] += initial
     births = counts[camera]
     for c in range(len(counts)):
-        peaks[c] = max(peaks[c], counts[c])
         counts[c] *= remaining[c]
         share[c] *= remaining[c]
-    peaks[camera] = 0.0
     return births, after, 0
 
 

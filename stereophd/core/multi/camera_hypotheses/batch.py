@@ -92,8 +92,7 @@ class FilterBatch:
         births, undetected, burst = template.expected_births(state.undetected, bare.elapsed, event)
         arrays = with_newborns(*template.detections(event), template.state_size)
         settings: Any = template.reduction
-        most = max(births, template.peak_births(state.undetected, event))
-        weight = prune_weight_for_births(settings.prune_weight, most, bare.p_detect, bare.clutter)
+        weight = prune_weight_for_births(settings.prune_weight, births, bare.p_detect, bare.clutter)
         numbers, reduction = with_births(bare, births, burst), settings._replace(prune_weight=weight)
         draws = draws_of_event(template.sets, state.n_events)
         motion = template.motion.arrays(event.time_s - mixture.times)

@@ -89,16 +89,12 @@ class PmbFilter(DisparityFilter):
         """Compile the test for pairs of tracks that are paired crosswise."""
         self.swap_test.compile()
 
-    def peak_births(self, undetected: Undetected | None, event: Event) -> float:
-        """See `DisparityFilter`: the peak of the camera before the event."""
-        return 0.0 if undetected is None else float(undetected.peaks[event.camera])
-
     def update(self, state: FilterState, prediction: Prediction, event: Event) -> tuple[FilterState, Info]:
         """Update with the detections of an event (Williams 2015, section IV), then reduction; no tracks are swapped."""
         reduced, *updated = _update(
             prediction.mixture, prediction.moved, *self.detections(event),
             self.event_numbers(state.time_s, event, state.next_label), (prediction.births, prediction.burst),
-            self.peak_births(state.undetected, event), self.reduction, self.claims,
+            self.reduction, self.claims,
         )  # fmt: skip
         counters = state.next_label + len(event.points), state.next_track
         return self._after(state, event, reduced, updated, counters, prediction.undetected, prediction.burst)
@@ -173,11 +169,11 @@ def _step(
     beside the mixture.
     """
     weights, moved, homes, births, undetected, burst = predict_event(mixture, given)
-    numbers, _, _, _, motion, _, views, _, _, before, _, _ = given
+    numbers, _, _, _, motion, _, views, _, _, _, _, _ = given
     known, predicted, event = GaussianMixture(*mixture), GaussianMixture(weights, *mixture[1:]), EventNumbers(*numbers)
     reduced, log_likelihood, forgotten, expected, found, detections, claims, fewer, undecided = _update(
         predicted, moved, Detections(*detected), FirstSight(*prior), event, (births, burst),
-        before[2][event.camera], PmbReduction(*reduction), with_claims
+        PmbReduction(*reduction), with_claims
     )  # fmt: skip
     rows = _rows_of(reduced, known, event)
     pairs = np.empty((0, 2), dtype=np.int64)
@@ -218,19 +214,18 @@ def _update(
     prior: FirstSight,
     bare: EventNumbers,
     born: tuple[float, int],
-    peak: float,
     stated: PmbReduction,
     with_claims: bool,
 ) -> tuple[GaussianMixture, float, float, float, Integers, Integers, Claims | None, int, float]:
     """`associate_tracks`, which labels were detected and by which detections, and `reduce_tracks`.
 
-    The numbers are those without births, and `born` has the births and the burst of clutter; `peak` is that of the
-    camera before the event (`Undetected`). The pruning weight is the one stated, or that of the births: of cameras that
-    take their frames at one time the first expects all new objects, and the last next to none.
+    The numbers are those without births, and `born` has the births and the burst of clutter. The pruning weight is the
+    one stated, or that of the births of this event alone: of cameras that take their frames at one time the last
+    expects next to none, and may see what no other sees.
     """
     births, burst = born
     event, numbers = with_newborns(detected, prior, mixture.means.shape[1]), with_births(bare, births, burst)
-    weight = prune_weight_for_births(stated.prune_weight, max(births, peak), bare.p_detect, bare.clutter)
+    weight = prune_weight_for_births(stated.prune_weight, births, bare.p_detect, bare.clutter)
     reduction = PmbReduction(weight, *stated[1:])
     outcomes, log_likelihood, forgotten = associate_tracks(mixture, moved, event, numbers, reduction.prune_weight)
     known, weights, made = outcomes.labels, outcomes.weights, outcomes.made

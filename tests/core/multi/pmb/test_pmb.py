@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import product
 
 import numpy as np
@@ -370,6 +371,23 @@ def test_a_track_that_is_missed_too_often_ends() -> None:
     np.testing.assert_allclose(odds[1:] / odds[:-1], 0.05, rtol=1e-9)
     assert 0.05 * odds[-1] < multi_filter.settings.prune_weight <= odds[-1]
     assert len(estimates.track_ids) == 0
+
+
+def test_an_object_is_found_that_only_the_last_of_cameras_at_one_time_see() -> None:
+    """Three cameras of one view expect what is new in it; two beside them hardly expect what is outside of it."""
+    turns = [(0.0, 0.0, 0.0)] * 3 + [(0.0, -0.05, 0.0)] * 2
+    cameras = [make_camera(turn, (0.1 * k, 0.0, 0.0), p_detect=0.98, clutter=1.0) for k, turn in enumerate(turns)]
+    rig, motion = make_rig(cameras, 1.0, "horizontal"), ConstantVelocity([0.01] * 3, 6.0)
+    settings = PmbSettings(survival_per_s=0.99, birth=replace(PRIOR, per_s=0.1))
+    multi_filter = PmbFilter(rig, motion, sample_sets("qmc", 64, motion, seed=7), settings)
+    rng, state, place = np.random.default_rng(3), multi_filter.init(), np.array([[45.0, 0.0, 100.0]])
+    assert [bool(camera.in_view(place)[0]) for camera in cameras] == [False] * 3 + [True] * 2
+    for k in range(200):
+        for number, camera in enumerate(cameras):
+            is_seen = number > 2 and k > 40
+            pixels = camera.project(place) + rng.standard_normal((1, 2)) if is_seen else NO_DETECTIONS
+            state, _, estimates = multi_filter.step(state, make_event(camera, number, 0.05 * k, pixels))
+    assert len(estimates.track_ids) == 1
 
 
 @pytest.mark.parametrize(
