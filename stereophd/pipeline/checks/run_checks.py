@@ -236,8 +236,9 @@ def check_ends(summary: Mapping[str, Any]) -> Iterator[Finding]:
         if len(tracks) * (-np.expm1(-rate * (within_s + frame_s))) ** (count - 1) < LEAST_BY_CHANCE:
             yield Finding(
                 "tracking.ends", "warning",
-                f"all {count} tracks end at {instant(at_s)} s, and those after it are new ones: from then on no "
-                "camera sees anything for a time, or all objects leave together",
+                f"all {count} tracks end at {instant(at_s)} s, and "
+                + ("those after it are new ones" if (first > at_s).any() else "none comes after it")
+                + ": from then on no camera sees anything for a time, or all objects leave together",
                 round(at_s, 3), None, None, "look whether the detector or the recording failed then",
                 "ends_together",
             )  # fmt: skip

@@ -1201,9 +1201,12 @@ def test_tracks_that_all_end_together_before_the_log_does_are_named(ends: tuple[
     tracks = [{"first_s": 0.1, "last_s": end} for end in ends]
     summary = {"tracks": [*tracks, {"first_s": 1.0, "last_s": 1.5}], "first_s": 0.0, "duration_s": 20.0}
     summary |= {"events": 400, "cameras": {"left": {}, "right": {}}}
-    assert [one.cause for one in check_ends(summary)] == ["ends_together"] * named
+    found = [*check_ends(summary)]
+    assert [one.cause for one in found] == ["ends_together"] * named
+    assert all("none comes after it" in one.message for one in found)
     # frames of 2.5 s do not show that they end together
     assert not [*check_ends({**summary, "events": 16})]
     # new tracks after it do not change it
     later = [{"first_s": 12.0, "last_s": 20.0} for _ in ends]
-    assert bool([*check_ends({**summary, "tracks": summary["tracks"] + later})]) == named
+    found = [*check_ends({**summary, "tracks": summary["tracks"] + later})]
+    assert [("new ones" in one.message) for one in found] == [True] * named
