@@ -54,11 +54,12 @@ def choose_hypotheses(outcomes: Outcomes, settings: PmbReduction) -> tuple[Chose
         names[member[k]] = labels[k]
         existence[member[k]] += weights[k]
     _keep_most_probable(existence, settings.max_components)
+    existence[existence < prune_weight] = 0.0
     index = np.empty(len(weights), dtype=np.int64)
     count = 0
     for k in range(len(weights)):
         whole = existence[member[k]]
-        if weights[k] >= least_share * whole and whole >= prune_weight:
+        if weights[k] >= least_share * whole and whole > 0.0:
             index[count] = k
             count += 1
     most = settings.max_hypotheses

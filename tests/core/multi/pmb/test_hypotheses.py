@@ -95,6 +95,15 @@ def test_what_is_left_out_would_have_decided_the_squares_of_its_shares() -> None
     assert (choice.left_out, choice.undecided) == (2, pytest.approx(0.1**2 / 0.8 + 0.09**2 / 0.6))
 
 
+def test_a_bound_keeps_no_track_that_is_improbable() -> None:
+    """Of four hypotheses of track 0 three stay, the lightest of which is lighter than the existence of track 1."""
+    nothing = np.empty(0, dtype=np.int64)
+    labels, weights = np.array([0, 0, 0, 0, 1]), np.array([0.7, 0.2, 2e-4, 1e-4, 5e-4])
+    outcomes = Outcomes(labels, weights, nothing, nothing, np.zeros((0, 3)), np.zeros((0, 3, 3)))
+    choice, _ = choose_hypotheses(outcomes, make_pmb(max_hypotheses=3, least_share=1e-4).reduction)
+    assert choice.chosen.tolist() == [0, 1, 2]
+
+
 @pytest.mark.parametrize(("most", "is_harmed"), [(150, False), (30, True)])
 def test_a_bound_harms_where_what_it_leaves_out_would_have_decided_much(most: int, is_harmed: bool) -> None:
     """States are sound at every event, and the objects are found in the end, but with a bound below their number."""
