@@ -112,8 +112,8 @@ def _pose_in_time(sample: CameraSample, whole: bool) -> Iterator[Finding]:
     if turned > MOST_TURNED_DEG:
         yield Finding(
             "camera.pose", "warning",
-            f"{camera.name}: its pose is stated for {instant(pose.time_s)} s, {instant(away_s)} s from the log, and "
-            f"its rate turns it by {turned:.3g} degrees until then", round(turned, 3), 0.0, camera.name,
+            f"{camera.name}: its pose is stated for {instant(pose.time_s)} s, {instant(away_s)} s from the log, and its "
+            f"rate turns it by {turned:.3g} degrees until then", round(turned, 3), 0.0, camera.name,
             f"state cameras.{camera.name}.pose of a time of this log, or calibrate with this log: a slow turn that was "
             "found in another log does not go on for ever", "pose_of_another_time",
         )  # fmt: skip
