@@ -49,7 +49,7 @@ def is_mistake(found: Finding) -> bool:
     """
     if found.name == "log.frame_rate":
         return found.status == "warning" and found.cause != "frame_rate"
-    causes = ("pixels_normalised", "too_few_cameras", "length_unit", "poses_equal", "pose_of_another_time")
+    causes = ("pixels_normalised", "too_few_cameras", "length_unit", "poses_equal")
     names_one = found.name in ("geometry.cause", "geometry.boxes", "camera.focal_length") or found.cause in causes
     return names_one and found.status == "warning" and found.cause != DO_NOT_MEET
 

@@ -33,8 +33,6 @@ NOISE_FACTOR = 4.0
 LEAST_OVERLAP = 0.05
 # Share of the frames that repeat the one before, from which tracks lag.
 MOST_REPEATED = 0.01
-# Turn of a camera, degrees, from its stated pose to the log, from which its rate of another time is not believed.
-MOST_TURNED_DEG = 1.0
 # Places that are named, and the radius in which their detections may be left out, px.
 MOST_SHOWN, PLACE_RADIUS_PX = 5, 2.0
 # Difference of the logarithms of what the coordinates of a principal point are scaled by in another resolution.
@@ -69,7 +67,6 @@ def check_files(
         yield from frames
         yield _image(sample)
         yield from _places(sample)
-        yield from _pose_in_time(sample, whole)
         if (repeated := sample.repeated_share) > MOST_REPEATED:
             yield Finding(
                 "log.frames", "warning",
@@ -101,21 +98,6 @@ def _poses(samples: list[CameraSample]) -> Iterator[Finding]:
             "camera.pose", "warning", f"{second.name}: pose and focal length are those of {first.name} to the last "
             "digit: one seems a copy of the other", 0.0, None, second.name,
             "correct the file of cameras, or calibrate with `pose: unknown`", "poses_equal",
-        )  # fmt: skip
-
-
-def _pose_in_time(sample: CameraSample, whole: bool) -> Iterator[Finding]:
-    """Yield a warning where a camera turns steadily from a pose of a time outside the log, as found in another one."""
-    camera, pose = sample.camera, sample.camera.pose
-    away_s = max(sample.times[0] - pose.time_s, pose.time_s - sample.times[-1] if whole else 0.0)
-    turned = float(np.degrees(np.linalg.norm(pose.rotation_rate))) * away_s
-    if turned > MOST_TURNED_DEG:
-        yield Finding(
-            "camera.pose", "warning",
-            f"{camera.name}: its pose is stated for {instant(pose.time_s)} s, {instant(away_s)} s from the log, and its "
-            f"rate turns it by {turned:.3g} degrees until then", round(turned, 3), 0.0, camera.name,
-            f"state cameras.{camera.name}.pose of a time of this log, or calibrate with this log: a slow turn that was "
-            "found in another log does not go on for ever", "pose_of_another_time",
         )  # fmt: skip
 
 
