@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 from dataclasses import replace
 from pathlib import Path
@@ -109,7 +110,12 @@ def test_cameras_without_a_length_have_the_unit_of_the_control(
     report = calibrate(make_config(values), log, tmp_path / "out", plots=False, jobs=1)
     assert report["length_unit"] == report["control"]["length_unit"] == "m"
     assert read_camera_unit(tmp_path / "out" / "cameras.yaml") == "m"
-    assert pq.read_schema(tmp_path / "out" / "tracks.parquet").metadata[b"length_unit"] == b"m"
+    metadata = pq.read_schema(tmp_path / "out" / "tracks.parquet").metadata
+    assert metadata[b"length_unit"] == b"m"
+    # their configuration is that with which they were made, so that its lengths have this unit too
+    made_with, stated = json.loads(metadata[b"stereophd"])["config"], report["provenance"]["config"]
+    assert (made_with["units"]["length"], stated["units"]["length"]) == ("m", "baseline")
+    assert made_with["motion"]["acceleration_std"] != stated["motion"]["acceleration_std"]
     assert "scale from the control" in summary_text(report)
     assert re.search(r"left .* \+47\.\d{4} s, \+\d+ ppm\n", summary_text(report))  # its clock is that of the control
     assert {one["unit"] for one in report["parameters"] if "center" in one["name"]} == {"baseline"}
