@@ -475,10 +475,10 @@ def test_rolling_shutters_are_taken_into_account(tmp_path: Path) -> None:
     guess = tmp_path / "scene" / "guess.yaml"
     lines = [line for line in guess.read_text().splitlines() if "readout_s" not in line]
     guess.write_text("\n".join(lines) + "\n")
-    # the evidence is that of the start: what is stated need not be tested
+    # what is stated need not be tested
     held = loaded(tmp_path / "scene", (*overrides, "calibration.model=as_stated"))
     ignored = calibrate(held, log, tmp_path / "ignored", plots=False)
-    assert ignored["fit"]["log_evidence"] < report["fit"]["log_evidence"] - 10.0
+    assert ignored["tracking"]["log_likelihood"] < report["tracking"]["log_likelihood"] - 10.0
 
 
 def test_three_cameras_of_which_two_are_unknown(tmp_path: Path) -> None:

@@ -302,9 +302,7 @@ def believe(task: Task, fit: Fit, choices: Choices) -> Believed:
 def suspected(task: Task, answer: Fit) -> tuple[EnlargedSet, list[Suspicion]]:
     """Test what an answer holds as stated; the statement of the greatest evidence against it first."""
     within("what is held as stated is tested")
-    recording, times = task.recording, task.recording.times
-    periods = recording.periods(len(task.parameters.cameras))
-    enlarged = enlarge(task.parameters, task.reference, periods, (float(times[0]), float(times[-1])))
+    enlarged = enlarge(task.parameters, task.reference, task.recording.periods(len(task.parameters.cameras)))
     problem = stated_problem(task, answer)
     quadratic = quadratic_posterior(problem, enlarged, answer.adjustment)
     return enlarged, suspect(quadratic, enlarged, np.arange(task.parameters.size))

@@ -6,11 +6,9 @@ how far an answer moves if it is not quite so, are questions to one set of unkno
 together, and compares clocks: where one of them that nobody may have measured is contradicted, all of them are unknown
 under these priors. A lens has more than k1: what k1 and the principal point took up of the rest would be stated as far
 more certain than it is. A log of which all images are as makers state them has to show that they are exact, as hardly
-any is: else they are unknown, too. That cameras stand still is a statement of its own: one that sags on its tripod is
-unknown alone, and what turns with time is not taken for a lens.
+any is: else they are unknown, too.
 """
 
-import math
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -18,22 +16,19 @@ import numpy as np
 from stereophd.core.arrays import Array, Integers
 from stereophd.core.calibration.unknowns.parameters import Parameter, ParameterSet
 from stereophd.core.calibration.unknowns.quantities.base import IMAGES
-from stereophd.core.calibration.unknowns.quantities.pose import RotationRate, Velocity
 from stereophd.core.calibration.unknowns.quantities.registry import quantities
 from stereophd.core.geometry.camera import Camera
 from stereophd.core.geometry.lens import PARAMETERS, Lens
 
 # Standard deviations of what is stated as known: of coefficients of the lens, of the logarithms of focal length and
 # aspect, of the principal point in widths of the image, of the readout and the clock's offset in periods of the frames,
-# of the clock's rate; of the turn of a camera in the whole log, rad.
+# of the clock's rate.
 LENS_STD = {"k1": 0.3, "k2": 0.15, "p1": 1e-3, "p2": 1e-3}
 FOCAL_STD, ASPECT_STD, PRINCIPAL_POINT_WIDTHS, PERIODS, RATE_STD = 0.03, 5e-3, 0.015, 1.0, 1e-3
-TURN_STD = math.radians(0.3)
 # Odds, before the data, that a statement is wrong: of what is absent, of any other value.
 ABSENT_ODDS, STATED_ODDS = 0.1, 1e-3
 # What makers state of an image, a lens first; the middle is stated to half a pixel.
 IMAGE, MIDDLE_PX = ("distortion", "focal", "aspect", "principal_point"), 0.5
-TURNING = RotationRate.name
 
 
 @dataclass(frozen=True)
@@ -46,11 +41,6 @@ class HeldGroup:
     odds: float  # Before the data, that the values are not as stated.
     is_unmeasured: bool  # Whether nobody may have measured it: what is absent, and the image that makers state.
 
-    @property
-    def is_alone(self) -> bool:
-        """Whether what else nobody has measured stays known if it is contradicted: that cameras stand still."""
-        return self.quantity == TURNING
-
 
 @dataclass(frozen=True)
 class EnlargedSet:
@@ -62,22 +52,16 @@ class EnlargedSet:
     def freed(self, known: ParameterSet, places: Integers) -> ParameterSet:
         """Return the unknowns of the calibration together with some of those that it holds."""
         more = tuple(self.parameters.parameters[i] for i in places.tolist())
-        changed = {(parameter.camera, parameter.quantity.name) for parameter in more}
-        cameras = tuple(
-            replace(
-                stated,
-                lens=own.lens if (own.name, "distortion") in changed else stated.lens,
-                pose=own.pose if (own.name, TURNING) in changed else stated.pose,
-            )
-            for own, stated in zip(self.parameters.cameras, known.cameras, strict=True)
-        )
+        lenses = {parameter.camera for parameter in more if parameter.quantity.name == "distortion"}
+        each = zip(self.parameters.cameras, known.cameras, strict=True)
+        cameras = tuple(own if own.name in lenses else stated for own, stated in each)
         return replace(known, cameras=cameras, parameters=(*known.parameters, *more))
 
     def unmeasured_with(self, group: HeldGroup | None = None) -> Integers:
         """Places of all that nobody has measured, also if a group of that is unknown; those of another group alone."""
-        if group is not None and (group.is_alone or not group.is_unmeasured):
+        if group is not None and not group.is_unmeasured:
             return group.places
-        places = [one.places for one in self.groups if one.is_unmeasured and not one.is_alone]
+        places = [one.places for one in self.groups if one.is_unmeasured]
         return np.unique(np.concatenate([np.empty(0, np.int64), *places]))
 
 
@@ -88,29 +72,20 @@ def is_of_maker(camera: Camera) -> bool:
     return is_plain and bool((np.abs(middle) <= MIDDLE_PX).all())
 
 
-def enlarge(
-    parameters: ParameterSet, reference: int, periods: Array, span: tuple[float, float] = (0.0, 0.0)
-) -> EnlargedSet:
-    """Return the unknowns of a calibration and, under wide priors, what it holds of lenses, images, clocks and turns.
+def enlarge(parameters: ParameterSet, reference: int, periods: Array) -> EnlargedSet:
+    """Return the unknowns of a calibration and, under wide priors, what it holds of lenses, images and clocks.
 
     The clock of the reference camera fixes that of the results; `periods` (c,) are median times between two frames, s.
-    `span` has the first and the last time of the log, s; where they are equal nothing turns.
     """
     cameras = [
         replace(c, lens=Lens("brown_conrady", k1=c.lens.k1)) if c.lens.model in ("none", "radial") else c
         for c in parameters.cameras
     ]
-    length, still = span[1] - span[0], [_is_still(parameters, camera) for camera in cameras]
-    middle = span[0] + length / 2.0
-    cameras = [
-        replace(c, pose=replace(c.pose, time_s=middle)) if own else c for c, own in zip(cameras, still, strict=True)
-    ]
     size, extra, groups = parameters.size, list[Parameter](), list[HeldGroup]()
     by_quantity: dict[str, list[HeldGroup]] = {}
     for number, camera in enumerate(cameras):
         of_times = {"clock_offset": 0.0, "clock_rate": camera.clock.rate - 1.0, "readout": camera.readout_s}
-        turn_std = TURN_STD / length if still[number] and length > 0.0 else 0.0
-        for quantity, stds in _wide_priors(camera, float(periods[number]), turn_std, number == reference).items():
+        for quantity, stds in _wide_priors(camera, float(periods[number]), number == reference).items():
             names = [name for name, std in stds.items() if std > 0.0 and parameters.index(camera.name, [name])[0] < 0]
             if not names:
                 continue
@@ -124,19 +99,13 @@ def enlarge(
             by_quantity.setdefault(quantity, []).append(group)
     for quantity, each in by_quantity.items():
         groups += [*each, *([_together(quantity, each)] if len(each) > 1 else [])]
-    unmeasured = [one for each in by_quantity.values() for one in each if one.is_unmeasured and not one.is_alone]
+    unmeasured = [group for each in by_quantity.values() for group in each if group.is_unmeasured]
     if len({group.quantity for group in unmeasured}) > 1:
         groups.append(_together("unmeasured", unmeasured))
     images = [group for group in unmeasured if group.quantity in IMAGE]
     if images and all(is_of_maker(c) and c.lens.model == "none" for c in parameters.cameras):
         groups.append(_together(IMAGES, images))
     return EnlargedSet(ParameterSet(tuple(cameras), (*parameters.parameters, *extra)), tuple(groups))
-
-
-def _is_still(parameters: ParameterSet, camera: Camera) -> bool:
-    """Whether a camera is stated to stand still."""
-    moves = parameters.index(camera.name, (*Velocity.components, *RotationRate.components))
-    return camera.pose.is_static and bool((moves < 0).all())
 
 
 def _together(quantity: str, groups: list[HeldGroup]) -> HeldGroup:
@@ -152,7 +121,7 @@ def with_unmeasured(parameters: ParameterSet, reference: int, periods: Array) ->
     return enlarged.freed(parameters, enlarged.unmeasured_with())
 
 
-def _wide_priors(camera: Camera, period: float, turn_std: float, is_reference: bool) -> dict[str, dict[str, float]]:
+def _wide_priors(camera: Camera, period: float, is_reference: bool) -> dict[str, dict[str, float]]:
     """Standard deviations by quantity and component of what may be misstated of a camera."""
     wide = {
         "distortion": {name: std for name, std in LENS_STD.items() if name in PARAMETERS[camera.lens.model]},
@@ -164,8 +133,6 @@ def _wide_priors(camera: Camera, period: float, turn_std: float, is_reference: b
         "readout": {"readout": PERIODS * period},
         "clock_offset": {"clock_offset": PERIODS * period},
         "clock_rate": {"clock_rate": RATE_STD},
-        TURNING: dict.fromkeys(RotationRate.components, turn_std),
     }
-    # centres that rest fix the frame in which the reference camera turns
-    of_the_frame = {quantity.name for quantity in quantities() if quantity.of_the_frame} - {TURNING}
+    of_the_frame = {quantity.name for quantity in quantities() if quantity.of_the_frame}
     return {name: stds for name, stds in wide.items() if not (is_reference and name in of_the_frame)}

@@ -56,20 +56,6 @@ def test_a_lens_that_was_stated_as_none_is_named_with_its_value() -> None:
     assert (np.abs(worst.values - truth) < 5.0 * worst.stds).all()
 
 
-def test_a_camera_that_turns_is_named_and_not_a_lens() -> None:
-    rates = np.array([0.0, 2e-3, 1e-3])
-    still, (first, second, third) = rig(), rig()
-    turning = replace(second, pose=replace(second.pose, rotation_rate=rates, time_s=4.0))
-    observations, _, points = observe((first, turning, third), 1, 4, 8.0)
-    problem, states = problem_of(unknowns(still, POSES), observations, points)
-    found = marginal_optimum(problem, adjust(problem, np.zeros(problem.parameters.size), states))
-    enlarged = enlarge(problem.parameters, 0, PERIODS, (0.0, 8.0))
-    worst = suspect(quadratic_posterior(problem, enlarged, found), enlarged, np.arange(problem.parameters.size))[0]
-    assert worst.is_contradicted
-    assert worst.group.names == tuple(f"cam1.rotation_rate_{axis}" for axis in "xyz")
-    assert (np.abs(worst.values - rates) < 5.0 * worst.stds).all()
-
-
 def test_what_is_stated_right_is_not_contradicted() -> None:
     problem, found = posed(Lens(), Lens())
     _, suspicions = suspicions_of(problem, found)

@@ -132,22 +132,3 @@ def test_what_is_freed_follows_the_unknowns() -> None:
 def test_a_frame_alone_has_no_period() -> None:
     enlarged = enlarge(ParameterSet(cameras(Lens()), (Parameter("focal", "right", 0.0, 0.01),)), 0, np.zeros(2))
     assert not any(name.endswith(("readout", "clock_offset")) for name in enlarged.parameters.names)
-
-
-def test_that_cameras_stand_still_is_a_statement_of_its_own() -> None:
-    stated = ParameterSet(cameras(Lens()), (Parameter("focal", "right", 0.0, 0.01),))
-    enlarged = enlarge(stated, 0, PERIODS, (1e9, 1e9 + 20.0))
-    turns = [group for group in enlarged.groups if group.quantity == "rotation_rate"]
-    assert [names(enlarged.parameters, group.places)[0] for group in turns] == [
-        "left.rotation_rate_x", "right.rotation_rate_x", "left.rotation_rate_x",
-    ]  # fmt: skip
-    assert names(enlarged.parameters, enlarged.unmeasured_with(turns[1])) == list(turns[1].names)
-    lens = next(group for group in enlarged.groups if group.quantity == "distortion")
-    assert not set(enlarged.unmeasured_with(lens).tolist()) & set(turns[2].places.tolist())
-    freed = enlarged.freed(stated, turns[1].places)
-    # about the middle of the log, and without the lens that is not estimated
-    assert [camera.pose.time_s for camera in freed.cameras] == [0.0, 1e9 + 10.0]
-    assert freed.cameras[1].lens == Lens()
-    again = enlarge(freed, 0, PERIODS, (1e9, 1e9 + 20.0))
-    assert [group.names[0] for group in again.groups if group.quantity == "rotation_rate"] == ["left.rotation_rate_x"]
-    assert again.parameters.cameras[1].pose == freed.cameras[1].pose
