@@ -5,9 +5,9 @@ Kirubarajan, "Estimation with Applications to Tracking and Navigation", 2001, se
 Real objects turn in short manoeuvres, which a log of mostly steady flight outvotes, and a track that does not follow
 a manoeuvre costs more than one that settles late. Short windows of the log are therefore a sample of a population of
 accelerations, whose distribution is that of greatest likelihood (N. Laird, "Nonparametric maximum likelihood estimation
-of a mixing distribution", JASA 73, 1978). Where that is more probable than one value, for so many shares (G. Schwarz,
-Annals of Statistics 6, 1978), the value is large enough for nearly all of it. Else it is the top of the parabola
-through the likelihoods of the best values, whose curvature gives the standard error.
+of a mixing distribution", JASA 73, 1978), each given the windows before it. Where that is more probable than one value,
+for so many shares (G. Schwarz, Annals of Statistics 6, 1978), the value is large enough for nearly all of it. Else it
+is the top of the parabola through the likelihoods of the best values, whose curvature gives the standard error.
 """
 
 from collections.abc import Sequence
