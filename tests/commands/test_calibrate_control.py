@@ -14,7 +14,8 @@ import pytest
 import yaml
 
 from stereophd import Camera, InputError, Pose, make_config, read_cameras, write_log
-from stereophd.commands.calibrate import calibrate
+from stereophd.commands.calibrate import _findings_of, calibrate
+from stereophd.core.calibration.annealing.method import Remark
 from stereophd.core.geometry.pose import rotation_from_vector, rotation_to_vector
 from stereophd.io.cameras.writing import camera_config, plain_cameras
 from stereophd.report.summaries import summary_text
@@ -119,6 +120,13 @@ def test_cameras_without_a_length_have_the_unit_of_the_control(
     assert "scale from the control" in summary_text(report)
     assert re.search(r"left .* \+47\.\d{4} s, \+\d+ ppm\n", summary_text(report))  # its clock is that of the control
     assert {one["unit"] for one in report["parameters"] if "center" in one["name"]} == {"baseline"}
+
+
+def test_accelerations_are_stated_in_the_unit_of_the_calibration() -> None:
+    """That of a control, which is another length, was named beside a number of baselines."""
+    report = {"status": "determined", "length_unit": "m", "provenance": {"units": {"length": "baseline"}}}
+    (found,) = _findings_of(report, (Remark("motion", "the objects accelerate by 0.3 length/s^2"),))
+    assert found["message"] == "the objects accelerate by 0.3 baseline/s^2"
 
 
 def test_points_fix_scale_and_frame(cameras: list[Camera], log: Path, tmp_path: Path) -> None:
