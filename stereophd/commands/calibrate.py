@@ -141,11 +141,11 @@ def calibrate(
             if unknown is not None:
                 yielding = unknown.with_motion_to_estimate(loaded)
                 loaded, report["motion"] = with_estimated_motion(yielding, log_path, cameras)
-            of_tables = to_metadata({**record, "units": {"length": loaded.config.units.length}})
+            of_tables = to_metadata(provenance("calibrate", loaded.record, inputs=inputs))
             report["tracking"], further = _track(loaded, uncertainty, log_path, out, of_tables, progress)
             findings += report_findings(further)
-        report["checks"] = findings + _findings_of(report, (*problem.remarks, *outcome.remarks))
         report["provenance"] = record
+        report["checks"] = findings + _findings_of(report, (*problem.remarks, *outcome.remarks))
         write_json(out.path("report.json"), report)
         if drawn and not outcome.reason:
             limit.begin("pictures are drawn")
@@ -172,7 +172,7 @@ def _findings_of(report: dict[str, Any], remarks: tuple[Remark, ...]) -> list[di
         text = f"{report['status']}: {report['reason']}"
         # logged at the end, after the outputs
         found.append(Finding("calibration.status", "warning", text, cause=report["status"].replace(" ", "_")).as_dict())
-    unit = report["length_unit"]
+    unit = report["provenance"]["units"]["length"]  # of the calibration, not of a control that gives it another
     said = tuple(
         Finding(f"calibration.{remark.topic}", "warning", remark.text.replace(" length/s^2", f" {unit}/s^2"))
         for remark in remarks

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 from dataclasses import replace
 from pathlib import Path
@@ -13,7 +14,8 @@ import pytest
 import yaml
 
 from stereophd import Camera, InputError, Pose, make_config, read_cameras, write_log
-from stereophd.commands.calibrate import calibrate
+from stereophd.commands.calibrate import _findings_of, calibrate
+from stereophd.core.calibration.annealing.method import Remark
 from stereophd.core.geometry.pose import rotation_from_vector, rotation_to_vector
 from stereophd.io.cameras.writing import camera_config, plain_cameras
 from stereophd.report.summaries import summary_text
@@ -109,10 +111,22 @@ def test_cameras_without_a_length_have_the_unit_of_the_control(
     report = calibrate(make_config(values), log, tmp_path / "out", plots=False, jobs=1)
     assert report["length_unit"] == report["control"]["length_unit"] == "m"
     assert read_camera_unit(tmp_path / "out" / "cameras.yaml") == "m"
-    assert pq.read_schema(tmp_path / "out" / "tracks.parquet").metadata[b"length_unit"] == b"m"
+    metadata = pq.read_schema(tmp_path / "out" / "tracks.parquet").metadata
+    assert metadata[b"length_unit"] == b"m"
+    # their configuration is that with which they were made, so that its lengths have this unit too
+    made_with, stated = json.loads(metadata[b"stereophd"])["config"], report["provenance"]["config"]
+    assert (made_with["units"]["length"], stated["units"]["length"]) == ("m", "baseline")
+    assert made_with["motion"]["acceleration_std"] != stated["motion"]["acceleration_std"]
     assert "scale from the control" in summary_text(report)
     assert re.search(r"left .* \+47\.\d{4} s, \+\d+ ppm\n", summary_text(report))  # its clock is that of the control
     assert {one["unit"] for one in report["parameters"] if "center" in one["name"]} == {"baseline"}
+
+
+def test_accelerations_are_stated_in_the_unit_of_the_calibration() -> None:
+    """That of a control, which is another length, was named beside a number of baselines."""
+    report = {"status": "determined", "length_unit": "m", "provenance": {"units": {"length": "baseline"}}}
+    (found,) = _findings_of(report, (Remark("motion", "the objects accelerate by 0.3 length/s^2"),))
+    assert found["message"] == "the objects accelerate by 0.3 baseline/s^2"
 
 
 def test_points_fix_scale_and_frame(cameras: list[Camera], log: Path, tmp_path: Path) -> None:

@@ -11,20 +11,29 @@ from stereophd.core.metrics.truth.registration import Alignment, Freedom, Regist
 MOST_MISFIT = 3.0
 # Objects of the truth that tracks are compared with one by one, and starts that are tried.
 MOST_OBJECTS, MOST_STARTS = 8, 4
+# Least distance that counts, in parts of the size of the truth.
+TINY = 1e-9
 
 
 def align_to_truth(tracks: TrackedPlaces, truth: Truth, max_gap_s: float, freedom: Freedom) -> Alignment:
-    """Align tracks with a truth, from where they are, and where that fails from what single tracks have in common with
-    single objects, if the frame is free.
+    """Align tracks with a truth, from where they are, and if the frame is free from what single tracks have in common
+    with single objects.
 
-    Raises ValueError as `register`.
+    One object shows by its misfit whether that from where they are is right. Of several, what is nearer than chance
+    decides: the sum of the logarithms of the size of the truth over the distances. A median says nothing of a short
+    track whose object moves as another one does. Raises ValueError as `register`.
     """
     found, error = _registered(tracks, truth, max_gap_s, freedom, None)
-    if freedom.frame and (found is None or found.misfit > MOST_MISFIT):
-        for start in _starts(tracks, truth, max_gap_s, freedom):
-            other, _ = _registered(tracks, truth, max_gap_s, freedom, start)
-            if other is not None and (found is None or other.misfit < found.misfit):
-                found = other
+    is_one = bool(np.all(truth.object_id == truth.object_id[:1]))
+    if freedom.frame and not (is_one and found is not None and found.misfit <= MOST_MISFIT):
+        starts = _starts(tracks, truth, max_gap_s, freedom)
+        others = [_registered(tracks, truth, max_gap_s, freedom, start)[0] for start in starts]
+        size = float(np.linalg.norm(np.ptp(truth.position, axis=0)))
+        found = max(
+            (one for one in (found, *others) if one is not None),
+            key=lambda one: float(np.log(size / np.maximum(one.distances, TINY * size)).sum()),
+            default=None,
+        )
     if found is None:
         assert error is not None
         raise error

@@ -65,7 +65,7 @@ class FoundCameras:
     reason: str  # why nothing was found that is believed; empty if something was
     has_scale: bool
     intervals: dict[str, float]  # median one of each camera, s; 0 with fewer than two frames
-    estimated: tuple[str, ...] = ()  # keys of the settings that the tracks contradicted
+    estimated: tuple[str, ...] = ()  # keys of the settings that what was found replaced
 
     def report(self) -> dict[str, Any]:
         """Return the search's part of ``report.json``."""
@@ -190,7 +190,7 @@ def with_found_cameras(
         shown["report.max_position_std"] = UNCERTAIN * middle
     if getattr(getattr(placed.config.filter, "birth", None), "depth_range", None) is not None:
         shown["filter.birth.depth_range"] = [NEARER * near, FARTHER * far]
-    placed = variant(placed, [("the depths of the objects", shown)])
+    placed, found = variant(placed, [("the depths of the objects", shown)]), replace(found, estimated=tuple(shown))
     if not limit.begin("settings are compared with what the tracks show"):
         return placed, found
     contradicted = [
@@ -202,7 +202,7 @@ def with_found_cameras(
         return placed, found
     changes = {".".join(map(str, path)): value.data for path, value in contradicted}
     placed, _ = with_estimated_motion(variant(placed, [("what the tracks show", changes)]), log_path)
-    return placed, replace(found, estimated=tuple(changes))
+    return placed, replace(found, estimated=(*shown, *changes))
 
 
 def refuse_search(loaded: LoadedConfig) -> CalibrationConfig:

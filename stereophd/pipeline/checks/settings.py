@@ -26,6 +26,8 @@ from stereophd.wording import number, percent, span
 LEAST_COVERED, LEAST_BORN, BEGINNING = 0.6, 0.25, 0.25
 # Share of the places that a box must hold: it may leave out most objects, such as spectators.
 LEAST_INSIDE = 0.02
+# Standard deviations of chance beyond which rays that meet inside it are those of objects.
+CERTAIN = 2.0
 # Factors by which a measured spread of the speed or acceleration is larger or smaller than stated: one that is a little
 # too large does little harm.
 LARGER, SMALLER = 6.0, 30.0
@@ -51,7 +53,7 @@ class MeasuredScene:
     # length/s; and by how much a component changes in a second, at most, with what noise adds, and at least, NaN of
     # short tracks.
     speed: Array | None
-    inside: float = np.nan  # Share of the places that lie in the half-spaces asked for; NaN of none
+    inside: float = np.nan  # Share of the places that lie in the half-spaces asked for; NaN where it holds objects
 
 
 def measure_scene(
@@ -114,9 +116,9 @@ def _velocities(times: Array, places: Array) -> tuple[Array, Array, Array]:
 def _depth_samples(geometry: Geometry, least_score: float, spaces: Array) -> tuple[Array, Array, float]:
     """Return 200 depths that represent the rays that meet, without those that meet by chance; and of the beginning.
 
-    And the share of them that meet inside half-spaces (h, 4); NaN of none.
+    And the share of them that meet inside half-spaces (h, 4); NaN of no rays, and where it holds objects.
     """
-    whole, first, inside = [], [], np.zeros(2)
+    whole, first, inside = [], [], np.zeros(3)
     views = geometry.views
     for pair, given in zip(geometry.pairs, geometry.given, strict=True):
         a, b = views[pair.a], views[pair.b]
@@ -136,9 +138,12 @@ def _depth_samples(geometry: Geometry, least_score: float, spaces: Array) -> tup
                 shift, row, _ = np.nonzero(near)
                 pose, weights = a.camera.pose, np.where(shift == 0, 1.0, -1.0 / max(len(near) - 1, 1))
                 places = pose.center + depth[near][:, None] * (a.rays(pair.pixels_a)[row] @ pose.rotation)
-                inside += weights[are_inside(places, spaces)].sum(), weights.sum()
+                held = weights[are_inside(places, spaces)]
+                inside += held.sum(), -held[held < 0.0].sum(), weights.sum()
     shifts = max(1, geometry.pairs[0].pixels_b.shape[0] - 1) if geometry.pairs else 1
-    share = float(inside[0] / inside[1]) if inside[1] > 0.0 else np.nan
+    share = float(inside[0] / inside[2]) if inside[2] > 0.0 else np.nan
+    # a right region may be small beside what is around it: more than chance gives are objects, however few they are
+    share = np.nan if inside[0] > CERTAIN * np.sqrt(1.0 + inside[1]) else share
     return _represent(whole, shifts), _represent(first, shifts), share
 
 

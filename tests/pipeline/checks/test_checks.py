@@ -431,6 +431,24 @@ def test_a_region_without_objects_is_named(samples: list[CameraSample], region: 
     assert causes == ["region"] * named
 
 
+def test_a_small_region_that_holds_an_object_is_right() -> None:
+    """One of a hundred objects is in it, less than the share that a region of another unit may hold by chance."""
+    rng = np.random.default_rng(4)
+    starts, speeds = rng.uniform([-2.0, -1.5, 7.0], [2.0, 1.5, 12.0], (100, 3)), rng.uniform(-0.1, 0.1, (100, 3))
+    starts[0], speeds[0] = [0.0, 0.0, 5.0], 0.0
+    frames = []
+    for k, (c, camera) in ((k, one) for k in range(60) for one in enumerate(CAMERAS)):
+        pixels = camera.project(starts + speeds * k / RATE)
+        frames.append(Frame(k / RATE, c, k, pixels + rng.normal(0.0, 1.0, pixels.shape)))
+    crowd = measure(sample_log(frames, CAMERAS), DEPTHS)
+    for z, named in ((5.0, False), (3.5, True)):
+        region = {"box": {"x": [-0.3, 0.3], "y": [-0.3, 0.3], "z": [z - 0.4, z + 0.4]}}
+        filtering = {"kind": "pmb", "birth": {"depth_range": DEPTHS, "velocity_std": 1.0, "per_s": 1.0}}
+        config = make_config({"filter": filtering, "motion": {"acceleration_std": 0.5}, "region": region}).config
+        found = check_settings(config, measure_scene(crowd, region=config.region), crowd.samples, False)
+        assert ("settings.region" in {one.name for one in found}) == named
+
+
 def test_what_goes_in_circles_has_the_speed_of_its_way() -> None:
     """Over the whole of a long track fish in a tank hardly move: `init` took a ninth of their speed for the limit."""
     rng, frames = np.random.default_rng(3), 300

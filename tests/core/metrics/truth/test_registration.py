@@ -72,6 +72,20 @@ def test_tracks_of_several_objects_in_any_frame_are_aligned(clock):
     np.testing.assert_allclose(found.registration.times(at - shift), at, atol=0.01)
 
 
+def test_a_short_track_tells_objects_that_move_alike_from_each_other():
+    """Tracks that begin near the wrong one stayed there, with a misfit of 1: most places were near an object."""
+    times, paths = two_objects()
+    paths[1] = paths[0] + [0.0, 8.0, 0.0]
+    at = np.linspace(103.0, 127.0, 350)
+    seen = interpolated(times, paths, at) + np.random.default_rng(2).normal(0.0, 0.02, (350, 2, 3))
+    is_there = np.tile([True, False], 350) | (np.arange(700) < 100)
+    tracks = (seen.reshape(-1, 3) + [0.1, 8.0, 0.2])[is_there]
+    seen = estimates(np.repeat(at, 2)[is_there], tracks, np.tile(np.eye(3) * 0.02**2, (is_there.sum(), 1, 1)),
+                     np.tile([0, 1], 350)[is_there])  # fmt: skip
+    found = align_to_truth(seen, as_truth(times, paths), 0.1, Freedom())
+    np.testing.assert_allclose(found.registration.translation, [-0.1, -8.0, -0.2], atol=0.02)
+
+
 def test_places_that_one_camera_saw_hardly_count():
     # two fifths of the track miss the object by 30 in depth, and state a standard deviation of 5 along it
     times, paths = two_objects()
