@@ -7,9 +7,7 @@ import logging
 import re
 import shlex
 import shutil
-from collections.abc import Callable
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -27,7 +25,7 @@ from stereophd.config.loading import load_cameras, load_config, make_config
 from stereophd.errors import InputError
 from stereophd.pipeline.checks.finding import DO_NOT_MEET, Finding
 from stereophd.pipeline.initial import acceleration
-from stereophd.pipeline.initial.acceleration import AccelerationEstimate
+from stereophd.pipeline.initial.acceleration import _of_windows
 from stereophd.pipeline.initial.draft import draft_from_log
 from stereophd.pipeline.initial.template import template
 
@@ -307,85 +305,39 @@ def test_an_acceleration_is_not_estimated_elsewhere(scene: Path, tmp_path: Path)
         single.config.motion.build()
 
 
-class _Told:
-    """A filter whose log-likelihoods are given, by its acceleration, the number of the event, and since when it lost a
-    track: an event which depends on nothing but its acceleration."""
-
-    rig = None
-
-    def __init__(self, told: Callable[[float, int, int], float], value: float) -> None:
-        self.told, self.value = told, value
-
-    def init(self) -> tuple[int, int]:
-        """Return the number of the first event, and that at which a track was lost."""
-        return 0, -1000
-
-    def step(self, state: tuple[int, int], event: Any) -> tuple[tuple[int, int], Any, None]:
-        """Return the state after an event, and its log-likelihood."""
-        number, lost = state
-        lost = number if number == int(3e3 * self.value) % 300 else lost
-        info = SimpleNamespace(log_likelihood=self.told(self.value, number, number - lost), forgotten=0.0)
-        return (number + 1, lost), info, None
-
-
-def estimated(
-    monkeypatch: pytest.MonkeyPatch, told: Callable[[float, int, int], float], count: int
-) -> AccelerationEstimate:
-    """Return what is estimated of so many events."""
-    event: Any = SimpleNamespace(within=lambda rig: None)
-    monkeypatch.setattr(
-        acceleration, "build_labelled_filter", lambda config, *_: _Told(told, config.motion.acceleration_std)
-    )
-    loaded = load_config(ROOT / "configs" / "quickstart.yaml")
-    return acceleration.estimate_acceleration(loaded, [[event] * count], 0.03)
-
-
 def test_one_agile_object_among_many_at_rest_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
     """Below the acceleration of the agile one its tracks are lost, and the likelihood rises with those at rest."""
 
-    def told(value: float, *_: int) -> float:
-        return float(0.1 * max(-np.log(value / 0.3), 20.0 - 20.0 * np.log(value / 2.0) ** 2))
+    def likelihoods(loaded: Any, parts: Any, cameras: Any) -> np.ndarray[Any, Any]:
+        value = loaded.config.motion.acceleration_std
+        return np.full(100, 0.1 * max(-np.log(value / 0.3), 20.0 - 20.0 * np.log(value / 2.0) ** 2))
 
-    assert estimated(monkeypatch, told, 100).value == pytest.approx(2.0, rel=0.8)
-
-
-def _parabola(value: float, top: float, std: float) -> float:
-    return float(-0.5 * (np.log(value / top) / std) ** 2)
-
-
-@pytest.mark.parametrize(("manoeuvres", "is_larger"), [(50, True), (20, False)])
-def test_windows_bound_the_acceleration_from_below(
-    monkeypatch: pytest.MonkeyPatch, manoeuvres: int, is_larger: bool
-) -> None:
-    """Of 400 events the last ones hold a manoeuvre; a single window may be anything."""
-
-    def told(value: float, number: int, _: int) -> float:
-        return _parabola(value, 1.0, 2.0) if number >= 400 - manoeuvres else _parabola(value, 0.1, 1.0)
-
-    found = estimated(monkeypatch, told, 400)
-    assert found.usual == pytest.approx(0.1, rel=0.2)
-    assert (found.value > 3.0 * found.usual) == is_larger
+    monkeypatch.setattr(acceleration, "log_likelihoods", likelihoods)
+    loaded = load_config(ROOT / "configs" / "quickstart.yaml")
+    found = acceleration.estimate_acceleration(loaded, [[]], 0.03)
+    assert found.value == pytest.approx(2.0, rel=0.8)
 
 
-def test_windows_that_differ_by_chance_are_no_population(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Its largest value would be too large."""
-    tops = 0.43 * np.exp(np.random.default_rng(5).normal(0.0, 0.5, 16))
-    found = estimated(monkeypatch, lambda value, number, _: _parabola(value, tops[number // 25], 2.5), 400)
-    assert found.value == found.usual
-
-
-def test_a_track_that_stays_lost_is_no_population(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Every window until it was found again said that the values which had not lost it were right."""
-
-    def told(value: float, _: int, since: int) -> float:
-        return _parabola(value, 0.43, 2.0) - 0.5 * (since < 100)
-
-    found = estimated(monkeypatch, told, 400)
-    assert found.value == found.usual == pytest.approx(0.43, rel=0.5)
+def test_windows_bound_the_acceleration_from_below() -> None:
+    # 400 events, of which the last 25 hold a manoeuvre that the smaller values miss
+    quiet = {0.1: 0.0, 0.3: -0.2, 1.0: -1.0}
+    manoeuvre = {0.1: -9.0, 0.3: -4.0, 1.0: 0.0}
+    likelihoods = {a: np.r_[np.full(350, quiet[a]), np.full(50, manoeuvre[a])] for a in quiet}
+    assert _of_windows(likelihoods, likelihoods[0.1]) == 1.0
+    likelihoods = {a: np.r_[np.full(375, quiet[a]), np.full(25, manoeuvre[a])] for a in quiet}
+    assert _of_windows(likelihoods, likelihoods[0.1]) == 0.1  # one window may be anything
+    # windows that differ by chance are no population: its largest value would be too large
+    alike = {0.1: np.tile([0.0, -0.02], 8), 0.3: np.tile([-0.02, -0.002], 8)}
+    alike = {a: np.repeat(one, 25) for a, one in alike.items()}
+    assert _of_windows(alike, alike[0.1]) is None
 
 
 def test_the_top_of_the_likelihood_lies_between_the_values_tried(monkeypatch: pytest.MonkeyPatch) -> None:
-    found = estimated(monkeypatch, lambda value, *_: _parabola(value, 0.43, 1.0), 100)
+    def likelihoods(loaded: Any, parts: Any, cameras: Any) -> np.ndarray[Any, Any]:
+        return np.full(100, -0.5 * (np.log(loaded.config.motion.acceleration_std / 0.43) / 0.1) ** 2 / 100.0)
+
+    monkeypatch.setattr(acceleration, "log_likelihoods", likelihoods)
+    found = acceleration.estimate_acceleration(load_config(ROOT / "configs" / "quickstart.yaml"), [[]], 0.03)
     assert found.value == found.usual == 0.43
     assert found.error == pytest.approx(0.1, rel=1e-3)
 

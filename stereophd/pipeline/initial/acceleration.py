@@ -29,7 +29,6 @@ from stereophd.pipeline.detectors.displacements import USUAL_RATIO, WIDER
 from stereophd.pipeline.detectors.passes import stretches
 from stereophd.pipeline.initial.template import rounded
 from stereophd.pipeline.stream import open_stream
-from stereophd.pipeline.tracking.loop import Estimator
 from stereophd.wording import LOGGER
 
 # Fewest events that show an acceleration.
@@ -75,7 +74,8 @@ def estimate_acceleration(
     def likelihoods(value: float) -> Array:
         """Return the log-likelihood of every event."""
         if value not in found:
-            found[value] = log_likelihoods(_with(loaded, value), parts, cameras)
+            stated = variant(loaded, [("estimate", {"motion.acceleration_std": value})])
+            found[value] = log_likelihoods(stated, parts, cameras)
         return found[value]
 
     def climb(value: float, factor: float, least: float) -> float:
@@ -106,9 +106,20 @@ def estimate_acceleration(
         if bend < 0.0 and apart[0] < (top := -0.5 * slope / bend) < apart[2]:
             error = float((-2.0 * bend) ** -0.5)
             best = max(usual, rounded(usual * np.exp(top)), key=lambda value: float(likelihoods(value).sum()))
+    for _ in range(MOST_STEPS):  # until it lies within the values tried, with its neighbours among them
+        grid = {value: one for value, one in found.items() if value != best or value == usual}
+        value = _of_windows(grid, found[best])
+        if value is None or value <= usual:
+            break
+        missing = {rounded(value * FACTOR**power) for power in (-0.5, 0.5)} - found.keys()
+        if value == max(found):
+            missing = {rounded(value * FACTOR)}
+        if not missing:
+            break
+        for neighbour in missing:
+            likelihoods(neighbour)
     tried = {a: round(float((one - found[best]).sum()), 2) for a, one in found.items()}
-    value = _enough_for_windows(loaded, parts, best, cameras)
-    return AccelerationEstimate(value, best, error, tried, sum(map(len, parts)))
+    return AccelerationEstimate(max(best, value or 0.0), best, error, tried, sum(map(len, parts)))
 
 
 def log_likelihoods(
@@ -119,67 +130,33 @@ def log_likelihoods(
     What the filter forgets where tracks compete is added: it would outweigh what values and cameras differ by.
     """
     estimator = build_labelled_filter(loaded.config, cameras or loaded.build_cameras(), loaded.path, 1)
-    return np.concatenate([_run(estimator, estimator.init(), part)[0] for part in parts])
+    found = []
+    for part in parts:
+        state = estimator.init()
+        for event in part:
+            state, info, _ = estimator.step(state, event.within(estimator.rig))
+            found.append(info.log_likelihood + info.forgotten)
+    return np.array(found)
 
 
-def _with(loaded: LoadedConfig, value: float) -> LoadedConfig:
-    return variant(loaded, [("estimate", {"motion.acceleration_std": value})])
-
-
-def _run(estimator: Estimator[Any], state: Any, events: Sequence[Event]) -> tuple[Array, Any]:
-    """Return the log-likelihood of every event, and the state after the last one."""
-    found = np.empty(len(events))
-    for k, event in enumerate(events):
-        state, info, _ = estimator.step(state, event.within(estimator.rig))
-        found[k] = info.log_likelihood + info.forgotten
-    return found, state
-
-
-def _enough_for_windows(
-    loaded: LoadedConfig, parts: Sequence[Sequence[Event]], best: float, cameras: tuple[Camera, ...] | None
-) -> float:
+def _of_windows(found: dict[float, Array], best: Array) -> float | None:
     """Return the least value that is enough for all but a few of the population that windows of the log show.
 
-    That is `best`, the most probable one, where the population is not more probable, for its shares, than `best` alone.
+    None where the population is not more probable, for its shares, than one value, of `best` log-likelihoods (events,).
     """
-    values, place = [best], 0
-    for _ in range(MOST_STEPS):  # until the largest one is that of hardly any window
-        values += [rounded(values[-1] * FACTOR**0.5), rounded(values[-1] * FACTOR)]
-        windows = _windows(loaded, parts, values, cameras)
-        count = windows.shape[1]
-        likelihood = np.exp(windows - (most := windows.max(axis=0)))
-        shares = np.full(len(values), 1.0 / len(values))
-        for _ in range(STEPS):
-            joint = shares[:, None] * likelihood
-            shares = (joint / joint.sum(axis=0)).mean(axis=1)
-        gain = (np.log(shares @ likelihood) + most - windows[0]).sum()
-        if gain <= 0.5 * (len(values) - 1) * np.log(count):
-            return best
-        left_out = min(0.5, max(LEFT_OUT, 1.5 / count))  # whatever a single window shows
-        place = int((np.cumsum(shares) >= 1.0 - left_out).argmax())
-        if place < len(values) - 1:
-            break
-    return values[place]
-
-
-def _windows(
-    loaded: LoadedConfig, parts: Sequence[Sequence[Event]], values: Sequence[float], cameras: tuple[Camera, ...] | None
-) -> Array:
-    """Return the log-likelihood (values, windows) of every window of a log, given those before it.
-
-    All values begin a window with the state of that which explains the window before best. Each with its own state
-    would count the windows for as long as a track stays lost or exchanged, as if every one of them showed it anew.
-    """
-    used = cameras or loaded.build_cameras()
-    estimators = [build_labelled_filter(_with(loaded, value).config, used, loaded.path, 1) for value in values]
-    rows = []
-    for part in parts:
-        state = estimators[0].init()
-        for first in range(0, len(part), WINDOW):
-            runs = [_run(estimator, state, part[first : first + WINDOW]) for estimator in estimators]
-            rows.append([float(found.sum()) for found, _ in runs])
-            state = runs[int(np.argmax(rows[-1]))][1]
-    return np.array(rows).T
+    values = sorted(found)
+    table = np.stack([found[value] - best for value in values])
+    count = max(1, table.shape[1] // WINDOW)
+    windows = np.stack([part.sum(axis=1) for part in np.array_split(table, count, axis=1)], axis=1)
+    likelihood = np.exp(windows - (most := windows.max(axis=0)))
+    shares = np.full(len(values), 1.0 / len(values))
+    for _ in range(STEPS):
+        joint = shares[:, None] * likelihood
+        shares = (joint / joint.sum(axis=0)).mean(axis=1)
+    if (np.log(shares @ likelihood) + most).sum() <= 0.5 * (len(values) - 1) * np.log(count):
+        return None
+    left_out = min(0.5, max(LEFT_OUT, 1.5 / count))  # whatever a single window shows
+    return values[int((np.cumsum(shares) >= 1.0 - left_out).argmax())]
 
 
 def with_estimated_motion(

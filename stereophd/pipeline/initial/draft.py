@@ -30,7 +30,7 @@ from stereophd.pipeline.detectors.displacements import WIDER, usual_motion
 from stereophd.pipeline.detectors.passes import MOST_BOXES, estimate_detectors, stretches
 from stereophd.pipeline.detectors.ray_noise import are_compared, starting_detectors
 from stereophd.pipeline.detectors.statistics import NoisePrior
-from stereophd.pipeline.initial.acceleration import FACTOR, LEAST_GAIN, estimate_acceleration, log_likelihoods
+from stereophd.pipeline.initial.acceleration import LEAST_GAIN, estimate_acceleration, log_likelihoods
 from stereophd.pipeline.initial.measured import SceneFigures, measure_with_filter, shared_depths
 from stereophd.pipeline.initial.template import Choice, Draft, rounded
 from stereophd.pipeline.stream import EventStream, open_log, open_stream
@@ -108,7 +108,7 @@ def _with_tracks(
     """Return the draft with what rays and the filter show, and why the cameras are wrong, if they are.
 
     They are if the log is more probable, 1,000 to 1, with the same settings where each camera has objects of its own,
-    at the acceleration that is enough for every turn, at the most probable one, and at one that is clearly too large.
+    both at the acceleration that is enough for every turn and at the most probable one.
     Cameras that move are not calibrated, and so not wrong either.
     """
     rough, name, is_compared = _rough(draft, samples, priors), str(log_path), are_compared(samples)
@@ -120,7 +120,7 @@ def _with_tracks(
     # with more acceleration than they have, or less than they turn with, tracks of two cameras wander from one another
     every, gain = range(len(samples)), -np.inf
     written, usual = found.choices["motion.acceleration_std"].value, found.usual_acceleration
-    for value in [written] if usual is None else dict.fromkeys((written, usual, rounded(FACTOR * written))):
+    for value in [written] if usual in (None, written) else [written, usual]:
         loaded = loaded_draft(found.with_choices({"motion.acceleration_std": Choice(value, "")}), name)
         events = [list(part.with_cameras(loaded.build_cameras())) for part in parts]
         alone = sum(_log_likelihood(loaded, events, [k]) for k in every)
