@@ -73,7 +73,7 @@ def test_tracks_of_several_objects_in_any_frame_are_aligned(clock):
 
 
 def test_a_short_track_tells_objects_that_move_alike_from_each_other():
-    """Tracks that begin near the wrong one of them stayed there, with a misfit of 1: most places were near an object."""
+    """Tracks that begin near the wrong one stayed there, with a misfit of 1: most places were near an object."""
     times, paths = two_objects()
     paths[1] = paths[0] + [0.0, 8.0, 0.0]
     at = np.linspace(103.0, 127.0, 350)
