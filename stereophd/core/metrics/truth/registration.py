@@ -267,7 +267,9 @@ def stepped(before: Registration, step: Array, center: Array, estimates: int) ->
     rate = before.rate + float(step[8])
     if not LOWEST_RATE < rate < HIGHEST_RATE:
         raise ValueError(f"expected clocks of nearly one rate, before a ratio of {rate:.3g}")
+    scale = factor * before.scale
+    if not np.finfo(np.float64).tiny < scale < np.inf:
+        raise ValueError(f"expected estimates that a scale brings to the truth, before a scale of {scale:.3g}")
     return Registration(
-        turn @ before.rotation, translation, factor * before.scale, before.at_s, before.shift_s + float(step[7]), rate,
-        estimates
-    )  # fmt: skip
+        turn @ before.rotation, translation, scale, before.at_s, before.shift_s + float(step[7]), rate, estimates
+    )

@@ -6,7 +6,7 @@ import pytest
 from stereophd.core.alignment.to_truth import align_to_truth
 from stereophd.core.geometry.pose import rotation_from_vector, rotation_to_vector
 from stereophd.core.metrics.truth.interpolation import Truth
-from stereophd.core.metrics.truth.registration import Freedom, TrackedPlaces, register
+from stereophd.core.metrics.truth.registration import Freedom, Registration, TrackedPlaces, register, stepped
 
 
 def two_objects():
@@ -150,3 +150,8 @@ def test_too_few_estimates():
     times, paths = two_objects()
     with pytest.raises(ValueError, match="6 or more estimates at times of the truth, found 0"):
         register(estimates(times - 500.0, paths[0]), as_truth(times, paths), 0.1, Freedom())
+
+
+def test_estimates_that_shrink_to_a_point_are_refused():
+    with pytest.raises(ValueError, match="a scale of 0"):
+        stepped(Registration(np.eye(3), np.zeros(3), 1e-300, 0.0, 0.0, 1.0, 6), np.eye(9)[6] * -1e3, np.zeros(3), 6)
