@@ -158,8 +158,10 @@ def calibrate(
 
 
 def _in_unit(report: dict[str, Any], unit: str, factor: float) -> None:
-    """State a report on cameras without a length in the unit of the control, which gives it; its parameters name their
-    own."""
+    """State a report on cameras without a length in the unit of the control, which gives it.
+
+    The parameters in it name their own unit.
+    """
     report["length_unit"], report["scale"]["determined_by"] = unit, "control"
     for camera in report["cameras"].values():
         camera["center_std"] = None if camera["center_std"] is None else factor * camera["center_std"]

@@ -215,22 +215,21 @@ def check_ends(summary: Mapping[str, Any]) -> Iterator[Finding]:
     """Yield a warning where all tracks end together long before the log does: no camera sees anything for a time.
 
     Objects come and go independently: of k tracks, that the others end within a time w of one has the probability
-    (1 - exp(-r w))^(k - 1), with the rate r of ends elsewhere, and no less than a frame for w. Every end is asked.
+    (1 - exp(-r w))^(k - 1), with the rate r of ends elsewhere, and no less than a frame for w. All ends are tested.
     """
     tracks = summary["tracks"]
     first, last = (np.array([track[key] for track in tracks], dtype=np.float64) for key in ("first_s", "last_s"))
     longest_s, ends = LAST_PART * summary["duration_s"], np.sort(last)
     end_s = (summary["first_s"] or 0.0) + summary["duration_s"] - longest_s
     frame_s = summary["duration_s"] * len(summary["cameras"]) / max(summary["events"], 1)
-    asked = np.arange(np.searchsorted(ends, end_s))
-    counts = np.searchsorted(np.sort(first), ends[asked]) - asked
-    enough = (np.searchsorted(ends, ends[asked] + longest_s, side="right") - asked >= counts) & (
-        counts >= LEAST_TOGETHER
-    )
-    for at_s in ends[asked[enough]].tolist():
+    early = np.arange(np.searchsorted(ends, end_s))
+    counts = np.searchsorted(np.sort(first), ends[early]) - early
+    ending = np.searchsorted(ends, ends[early] + longest_s, side="right") - early
+    enough = (ending >= counts) & (counts >= LEAST_TOGETHER)
+    for at_s in ends[early[enough]].tolist():
         alive = (first < at_s) & (last >= at_s)
         count, within_s = int(alive.sum()), float(last[alive].max() - at_s)
-        rate = max(len(asked) - count + 1, 1) / max(float((last - first).sum()), 1e-300)
+        rate = max(len(early) - count + 1, 1) / max(float((last - first).sum()), 1e-300)
         if count < LEAST_TOGETHER or within_s > longest_s:
             continue
         if len(tracks) * (-np.expm1(-rate * (within_s + frame_s))) ** (count - 1) < LEAST_BY_CHANCE:
@@ -410,9 +409,8 @@ def check_estimated_detectors(report: Mapping[str, Any] | None) -> Iterator[Find
         text = f"the estimated detectors still change after {report['passes']} runs of the filter"
         yield Finding("detector.estimate", "warning", text, cause="not_converged")
     for name, estimate in report["cameras"].items():
-        if report["noise_in_log"] or not estimate.get(
-            "frames", 1
-        ):  # the log has nothing of this camera, which is a warning
+        # that the log has no frame of a camera is a warning of its own
+        if report["noise_in_log"] or not estimate.get("frames", 1):
             continue
         key, unit = ("sigma_px", " px") if "sigma_px" in estimate else ("box_noise", "")
         noise = " x ".join(f"{value:.3g}" for value in estimate[key]) + unit
